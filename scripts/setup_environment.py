@@ -1,0 +1,301 @@
+#!/usr/bin/env python3
+"""Create what is missing of the environment and build the packages.
+
+Standard library only: it runs before anything is installed. Every stage leaves
+a stamp that holds the hash of what it was made from, so a stage runs again only
+when that has changed; a second run takes a fraction of a second.
+
+    stage         made from                             leaves
+    environment   requirements*.txt, the Python version .venv/
+    cmake paths   the ROS 2 wheels                      .venv/share/**/*.cmake, rewritten
+    build         src/**                                build/, install/
+    kernels       the compiled kernels                  .cache/numba/
+
+Where a ROS 2 Jazzy installation is sourced (ROS_DISTRO=jazzy and an
+AMENT_PREFIX_PATH), it is used instead of the wheels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+PYTHON = VENV / "bin" / "python"
+INSTALL = ROOT / "install"
+LOGS = ROOT / "log"
+
+
+class SetupError(Exception):
+    """Something the person at the keyboard has to mend; the text says what."""
+
+
+def main() -> int:
+    """Run the stages; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bench", action="store_true", help="also install the benchmark's peers")
+    arguments = parser.parse_args()
+    try:
+        check_machine()
+        create_environment()
+        if arguments.bench:
+            install_benchmark_peers()
+        build_packages()
+        compile_kernels()
+    except SetupError as error:
+        print(f"setup: {error}", file=sys.stderr)
+        return 1
+    except subprocess.CalledProcessError as error:
+        print(f"setup: `{' '.join(map(str, error.cmd[:4]))} ...` failed", file=sys.stderr)
+        return 1
+    return 0
+
+
+def ros_is_sourced() -> bool:
+    """Whether a ROS 2 installation other than our own wheels is in the environment."""
+    prefixes = map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    marker = Path("share", "ament_index", "resource_index", "packages", "rcl_interfaces")
+    if not any((p / marker).exists() and not p.resolve().is_relative_to(ROOT) for p in prefixes):
+        return False
+    if (distribution := os.environ.get("ROS_DISTRO", "")) != "jazzy":
+        raise SetupError(
+            f"ROS 2 {distribution or 'of an unknown distribution'} is sourced, wisar needs Jazzy: "
+            "open a shell without it, or source Jazzy's setup.bash"
+        )
+    return True
+
+
+def check_machine() -> None:
+    """Say in one line what this machine lacks."""
+    version = ".".join(map(str, sys.version_info[:2]))
+    if sys.implementation.name != "cpython" or not (3, 10) <= sys.version_info[:2] <= (3, 13):
+        raise SetupError(
+            f"Python {version} is not supported: run `make PYTHON=python3.12 ...` "
+            "with CPython 3.10, 3.11, 3.12 or 3.13"
+        )
+    if not ros_is_sourced() and (sys.platform, platform.machine()) != ("linux", "x86_64"):
+        raise SetupError(
+            f"the ROS 2 wheels exist for Linux on x86-64 only, this is {sys.platform} on "
+            f"{platform.machine()}: install ROS 2 Jazzy and source its setup.bash first"
+        )
+    if not any(shutil.which(name) for name in (os.environ.get("CXX") or "c++", "g++", "clang++")):
+        raise SetupError("no C++ compiler found: install one (Debian, Ubuntu: apt install g++)")
+    try:
+        import ensurepip  # noqa: F401
+        import venv  # noqa: F401
+    except ImportError:
+        raise SetupError(
+            f"Python {version} lacks venv: install it (Debian, Ubuntu: "
+            f"apt install python{version}-venv)"
+        ) from None
+    header = Path(sysconfig.get_path("include")) / "Python.h"
+    if not header.is_file():
+        raise SetupError(
+            f"Python's headers are missing ({header}): install them (Debian, Ubuntu: "
+            f"apt install python{version}-dev)"
+        )
+
+
+def create_environment() -> None:
+    """Create .venv with the pinned packages, with or without the ROS 2 wheels."""
+    use_wheels = not ros_is_sourced()
+    locks = [ROOT / "requirements.txt", ROOT / "requirements-uv.txt"]
+    if use_wheels:
+        locks.append(ROOT / "requirements-ros.txt")
+    key = digest(locks, sys.version, str(use_wheels), str(VENV))
+    stamp = VENV / ".wisar-stamp"
+    if is_current(stamp, key):
+        return
+    announce("creating .venv with the pinned packages")
+    # A half-made or outdated environment is not worth repairing: it takes seconds to make anew.
+    shutil.rmtree(VENV, ignore_errors=True)
+    venv_options = [] if use_wheels else ["--system-site-packages"]
+    # Not sys.executable: with env.sh sourced, that is the environment just removed.
+    base = Path(sys.base_prefix) / "bin" / f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    # What a sourced ROS 2 has on PYTHONPATH must not count as installed here.
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    run([base, "-m", "venv", *venv_options, VENV], "venv", alone)
+    pip: list[str | Path] = [
+        PYTHON,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+    ]
+    run([*pip, "--require-hashes", "-r", ROOT / "requirements-uv.txt"], "uv", alone)
+    install_locked(locks[0], *locks[2:])
+    if use_wheels:
+        rewrite_cmake_paths()
+    stamp.write_text(key)
+
+
+def install_benchmark_peers() -> None:
+    """Install what only `wisar bench` compares with."""
+    if sys.version_info[:2] > (3, 12):
+        announce("libjpathgen has no wheel for this Python: its benchmark row stays without a peer")
+        return
+    lock = ROOT / "requirements-bench.txt"
+    stamp = VENV / ".wisar-bench-stamp"
+    if not is_current(stamp, key := digest([lock])):
+        announce("installing the benchmark's peers")
+        install_locked(lock)
+        stamp.write_text(key)
+
+
+def install_locked(*locks: Path) -> None:
+    """Install the packages of lock files, their hashes checked."""
+    files = [option for lock in locks for option in ("-r", str(lock))]
+    uv: list[str | Path] = [VENV / "bin" / "uv", "pip", "install", "--quiet", "--python", PYTHON]
+    run([*uv, "--require-hashes", *files], "packages")
+
+
+def rewrite_cmake_paths() -> None:
+    """Point the wheels' CMake files at this machine's Python and NumPy headers.
+
+    They carry two paths of the machine that built the wheels.
+    """
+    tag = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    prefix = f"/opt/python/{tag}-{tag}"
+    numpy_include = subprocess.run(
+        [PYTHON, "-c", "import numpy; print(numpy.get_include())"],
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
+    replacements = {
+        f"{prefix}/lib/{python}/site-packages/numpy/_core/include": numpy_include,
+        f"{prefix}/include/{python}": sysconfig.get_path("include"),
+    }
+    for file in (VENV / "share").rglob("*.cmake"):
+        text = original = file.read_text(encoding="utf-8", errors="surrogateescape")
+        for old, new in replacements.items():
+            text = text.replace(old, new)
+        if text != original:
+            file.write_text(text, encoding="utf-8", errors="surrogateescape")
+
+
+def build_packages() -> None:
+    """Build the three packages with colcon into one prefix, install/."""
+    sources = sorted(
+        path
+        for path in [*(ROOT / "src").rglob("*"), *(ROOT / "config").rglob("*")]
+        if path.is_file() and "__pycache__" not in path.parts and "test" not in path.parts
+    )
+    key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))
+    stamp = INSTALL / ".wisar-stamp"
+    if is_current(stamp, key):
+        return
+    announce("building wisar_msgs, wisar_planner, wisar_sim (colcon)")
+    previous = stamp.read_text() if stamp.exists() else ""
+    stamp.unlink(missing_ok=True)
+    if not previous:
+        # Files of a build for another environment or place would be picked up again.
+        for folder in ("build", "install"):
+            shutil.rmtree(ROOT / folder, ignore_errors=True)
+    else:
+        # colcon leaves deleted modules in place; the Python packages are quick to install anew.
+        for name in ("wisar_planner", "wisar_sim"):
+            shutil.rmtree(ROOT / "build" / name, ignore_errors=True)
+            for installed in INSTALL.glob(f"lib/python3*/site-packages/{name}*"):
+                shutil.rmtree(installed, ignore_errors=True)
+    environment = dict(os.environ, PATH=f"{VENV / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    if not ros_is_sourced():
+        environment.pop("PYTHONPATH", None)
+        environment["AMENT_PREFIX_PATH"] = environment["CMAKE_PREFIX_PATH"] = str(VENV)
+        environment["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
+        environment["LD_LIBRARY_PATH"] = wheel_libraries()
+    build: list[str | Path] = [
+        PYTHON,
+        "-m",
+        "colcon",
+        "--log-base",
+        LOGS,
+        "build",
+        "--merge-install",
+    ]
+    build += ["--base-paths", ROOT / "src", "--build-base", ROOT / "build"]
+    build += ["--install-base", INSTALL, "--event-handlers", "console_direct-"]
+    build += ["--cmake-args", "-GNinja", f"-DPython3_EXECUTABLE={PYTHON}", "-DBUILD_TESTING=OFF"]
+    run(build, "build", environment)
+    link_command("wisar")
+    stamp.write_text(key)
+
+
+def link_command(name: str) -> None:
+    """Put a command of wisar_planner beside the environment's Python, so it is on PATH."""
+    link = VENV / "bin" / name
+    link.unlink(missing_ok=True)
+    link.symlink_to(INSTALL / "lib" / "wisar_planner" / name)
+
+
+def compile_kernels() -> None:
+    """Compile the numerical kernels into the cache, so that no node waits for it."""
+    packages = next(INSTALL.glob("lib/python3*/site-packages"))
+    sources = sorted(packages.glob("wisar_planner/**/*.py"))
+    key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))
+    stamp = ROOT / ".cache" / "numba" / ".wisar-stamp"
+    if is_current(stamp, key):
+        return
+    announce("compiling the numerical kernels")
+    # numba notices a change in a kernel's own file, but not in a kernel of another file it calls.
+    shutil.rmtree(stamp.parent, ignore_errors=True)
+    command = f". '{ROOT}/env.sh' && exec python -m wisar_planner.cli.warm_up"
+    run(["bash", "-c", command], "kernels")
+    stamp.parent.mkdir(parents=True, exist_ok=True)
+    stamp.write_text(key)
+
+
+def wheel_libraries() -> str:
+    """Return the library path of the ROS 2 wheels, as in env.sh."""
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(VENV)}))
+    return os.pathsep.join([str(VENV / "lib"), *map(str, sorted(site.glob("ros_*.libs")))])
+
+
+def digest(files: Iterable[Path], *more: str) -> str:
+    """Return a hash of the files' names and contents and of further strings."""
+    value = hashlib.sha256("\0".join(more).encode())
+    for file in files:
+        value.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
+    return value.hexdigest()
+
+
+def is_current(stamp: Path, key: str) -> bool:
+    """Whether a stage was last run from the same inputs."""
+    return stamp.is_file() and stamp.read_text() == key
+
+
+def run(command: list[str | Path], stage: str, environment: dict[str, str] | None = None) -> None:
+    """Run a command with its output in log/setup-STAGE.log; show the end of it on failure."""
+    LOGS.mkdir(exist_ok=True)
+    log = LOGS / f"setup-{stage}.log"
+    with log.open("wb") as output:
+        result = subprocess.run(
+            list(map(str, command)), stdout=output, stderr=subprocess.STDOUT, env=environment
+        )
+    if result.returncode != 0:
+        lines = log.read_text(errors="replace").splitlines()[-25:]
+        raise SetupError("\n  ".join([f"this stage failed; the end of {log}:", *lines]))
+
+
+_STARTED = time.monotonic()
+
+
+def announce(text: str) -> None:
+    """Print a progress line with the seconds since the start."""
+    print(f"setup [{time.monotonic() - _STARTED:4.0f} s] {text}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from wisar_planner.cli.evaluate import planner_specs
+from wisar_planner.cli.main import main
+from wisar_planner.errors import InvalidInput
+
+SMALL = ["evaluate", "--planner", "lawnmower,lhc_gw_conv", "--persons", "20", "--jobs", "1"]
+SMALL += ["--budget", "80"]
+
+
+def without_times(path):
+    results = json.loads(path.read_text())
+    for planner in results["planners"].values():
+        del planner["seconds_per_plan"], planner["seconds_per_plan_p95"]
+    return results
+
+
+def test_everything_that_was_asked_for_is_written(tmp_path, capsys):
+    paths = [tmp_path / "new" / name for name in ("out.json", "table.md", "figures")]
+    arguments = ["--json", str(paths[0]), "--markdown", str(paths[1]), "--figures", str(paths[2])]
+    assert main([*SMALL, "--runs", "3", "--seed", "4", *arguments]) == 0
+    results = json.loads(paths[0].read_text())
+    assert results["setup"]["seed"] == 4
+    assert results["setup"]["max_distance_m"] == 80.0
+    assert results["planners"]["lawnmower"]["runs"] == 3
+    assert paths[1].read_text().startswith("| planner |")
+    assert len(list(paths[2].glob("*.png"))) == 5
+    assert "lhc_gw_conv" in capsys.readouterr().out
+    # Finished: the runs that were kept for continuing are gone.
+    assert sorted(p.name for p in paths[0].parent.iterdir()) == ["figures", "out.json", "table.md"]
+
+
+def test_resumed_file_is_kept_and_gives_the_same_numbers(tmp_path):
+    runs = tmp_path / "runs.jsonl"
+    outs = [tmp_path / f"{i}.json" for i in range(3)]
+    assert main([*SMALL, "--runs", "2", "--resume", str(runs), "--json", str(outs[0])]) == 0
+    assert main([*SMALL, "--runs", "4", "--resume", str(runs), "--json", str(outs[1])]) == 0
+    assert main([*SMALL, "--runs", "4", "--json", str(outs[2])]) == 0
+    assert without_times(outs[1]) == without_times(outs[2])
+    assert runs.exists()
+    assert main([*SMALL, "--runs", "2", "--seed", "1", "--resume", str(runs)]) == 2
+
+
+def test_config_file_sets_the_scenario(tmp_path):
+    config = tmp_path / "small.yaml"
+    config.write_text(
+        "/**: {ros__parameters: {area: [0, 0, 40, 30], components: 2, step_length: 4.0, "
+        "covariance: [50, 10, 10, 40], swath_radius: 1.0, waypoints: 10}}"
+    )
+    out = tmp_path / "out.json"
+    arguments = ["evaluate", "--planner", "lawnmower", "--runs", "2", "--jobs", "1"]
+    assert main([*arguments, "--config", str(config), "--json", str(out)]) == 0
+    setup = json.loads(out.read_text())["setup"]
+    assert setup["area_m"] == [0.0, 0.0, 40.0, 30.0]
+    assert setup["max_distance_m"] == 40.0
+    assert setup["covariance_m2"] == [50.0, 10.0, 10.0, 40.0]
+
+
+def test_a_map_from_a_file_is_searched(tmp_path):
+    mapping = pytest.importorskip("wisar_planner.pdm.gis")
+    from wisar_planner.evaluation.scenario import RandomMaps
+    from wisar_planner.pdm.geodesy import GeoOrigin
+
+    problem = RandomMaps().problem(0, 0)
+    path, out = tmp_path / "map.geojson", tmp_path / "out.json"
+    mapping.save_mixture(path, problem.pdm, problem.area.polygon, GeoOrigin(56.0, -4.0))
+    arguments = ["--map", str(path), "--start", "centre", "--json", str(out), "--runs", "1"]
+    assert main([*SMALL, *arguments]) == 2  # neither step nor swath radius
+    assert main([*SMALL, *arguments, "--step", "8", "--swath-radius", "2.5"]) == 0
+    setup = json.loads(out.read_text())["setup"]
+    assert setup["maps"] == "map.geojson"
+    assert setup["start"] == "centre"
+    # The origin of the map is its corner (0, 0), some 110 m in latitude south of this point.
+    arguments = ["--map", str(path), "--start", "56.001,-3.999", "--json", str(out), "--runs", "1"]
+    assert main([*SMALL, *arguments, "--step", "8", "--swath-radius", "2.5"]) == 0
+    x, y = map(float, json.loads(out.read_text())["setup"]["start"].split(","))
+    assert (x, y) == pytest.approx((62.3, 111.3), abs=0.2)
+
+
+def test_options_go_to_their_planner():
+    specs = planner_specs(
+        "lawnmower, lhc_gw_conv", ["lawnmower.lane_spacing=4", "lhc_gw_conv.levels=5"]
+    )
+    assert [(s.name, dict(s.options)) for s in specs] == [
+        ("lawnmower", {"lane_spacing": 4}),
+        ("lhc_gw_conv", {"levels": 5}),
+    ]
+
+
+@pytest.mark.parametrize(
+    "wrong", ["lawnmower", "lanes=4", "greedy.headings=4", ".x=1", "lawnmower.=1"]
+)
+def test_wrong_options_are_refused(wrong):
+    with pytest.raises(InvalidInput, match="--option"):
+        planner_specs("lawnmower", [wrong])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--planner", "nobody"], "nobody"),
+        (["--planner", "lawnmower", "--runs", "0"], "runs"),
+        (["--planner", "lawnmower", "--step", "-1"], "step_length"),
+        (["--planner", "lawnmower", "--start", "1,2,3"], "start"),
+        (["--planner", "lawnmower", "--start", "900,2"], "start"),
+        (["--planner", "lawnmower", "--config", "missing.yaml"], "missing.yaml"),
+    ],
+)
+def test_mistakes_are_named_in_one_line(capsys, arguments, named):
+    assert main(["evaluate", "--jobs", "1", *arguments]) == 2
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("wisar: ")]
+    assert len(lines) == 1
+    assert named in lines[0]
+
+
+def test_ctrl_c_keeps_the_finished_runs_and_the_same_command_continues(tmp_path):
+    out = tmp_path / "out.json"
+    command = [sys.executable, "-m", "wisar_planner.cli", *SMALL, "--json", str(out)]
+    kept = tmp_path / "out.json.runs.jsonl"
+    child = subprocess.Popen(
+        [*command, "--runs", "100000"], stderr=subprocess.PIPE, env={**os.environ}, text=True
+    )
+    deadline = time.monotonic() + 100.0
+    while time.monotonic() < deadline and not (kept.exists() and kept.stat().st_size > 20_000):
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    error = child.communicate(timeout=60)[1]
+    assert child.returncode == 130, error
+    assert "Traceback" not in error
+    assert "continues from them" in error
+    before = sum('"run"' in line for line in kept.read_text().splitlines())
+    assert before > 0
+    assert main([*SMALL, "--runs", "8", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["planners"]["lawnmower"]["runs"] == 8
+    assert not kept.exists()

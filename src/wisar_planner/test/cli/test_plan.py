@@ -1,0 +1,226 @@
+"""`wisar plan` from the command line's end: files, summary, and one line for a mistake."""
+
+import importlib.util
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from wisar_planner.cli import plan as module
+from wisar_planner.cli.main import main
+from wisar_planner.pdm import GaussianMixture
+from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
+from wisar_planner.pdm.gis import load_map, save_mixture
+from wisar_planner.search import SearchPath
+
+ORIGIN = GeoOrigin(56.77, -5.0)
+DRONE = ("--budget", "300", "--swath-radius", "2.5", "--step", "8")
+SARENV = Path(__file__).parents[5] / "shared" / "data" / "sarenv"
+has_plan_files = pytest.mark.skipif(
+    importlib.util.find_spec("wisar_planner.mavlink.files") is None,
+    reason="no writers of plan files",
+)
+
+
+@pytest.fixture
+def mixture_file(tmp_path):
+    mixture = GaussianMixture(
+        [0.6, 0.4], [[40.0, 60.0], [110.0, 90.0]], [500.0 * np.eye(2), 300.0 * np.eye(2)]
+    )
+    path = tmp_path / "map.yaml"
+    save_mixture(path, mixture, shapely.box(0, 0, 150, 150), ORIGIN)
+    return path
+
+
+def demo_map(tmp_path):
+    script = Path(__file__).parents[4] / "scripts" / "make_demo_map.py"
+    spec = importlib.util.spec_from_file_location("make_demo_map", script)
+    demo = importlib.util.module_from_spec(spec)
+    # A dataclass looks its module up while it is being made.
+    sys.modules[spec.name] = demo
+    spec.loader.exec_module(demo)
+    out = tmp_path / "new" / "glen.tif"
+    assert demo.main(["--out", str(out), "--seed", "3"]) == 0
+    return out
+
+
+def refused(capsys, *arguments):
+    """The one line that a mistake leaves on standard error."""
+    try:
+        status = main(["plan", *map(str, arguments)])
+    except SystemExit as stop:
+        status = stop.code
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_the_summary_says_what_was_achieved(mixture_file, capsys):
+    assert main(["plan", str(mixture_file), *DRONE, "--planner", "expanding_square"]) == 0
+    out = capsys.readouterr().out
+    assert "expanding_square on" in out
+    for part in ("e_p", "of the bound", "300 m of 300 m", "0.5 min at 10 m/s", "planned in"):
+        assert part in out
+    assert len(out.splitlines()) < 20
+
+
+@has_plan_files
+@pytest.mark.parametrize("suffix", [".geojson", ".plan", ".waypoints", ".kml", ".gpx"])
+def test_a_plan_file_is_written_for_each_out(mixture_file, tmp_path, capsys, suffix):
+    files = [tmp_path / f"one{suffix}", tmp_path / "sub" / f"two{suffix}"]
+    outs = [part for file in files for part in ("--out", str(file))]
+    assert main(["plan", str(mixture_file), *DRONE, "--planner", "sector", *outs]) == 0
+    assert files[0].read_bytes() == files[1].read_bytes() != b""
+    out = capsys.readouterr().out
+    assert all(str(file) in out for file in files)
+
+
+@has_plan_files
+def test_the_geojson_is_the_path_in_degrees(mixture_file, tmp_path, monkeypatch):
+    waypoints = np.array([[40.0, 60.0], [48.0, 60.0], [48.0, 68.0]])
+    planned = SearchPath(waypoints, 2.5, "fixed")
+    monkeypatch.setattr(module, "_plan", lambda planner, problem, args: planned)
+    out = tmp_path / "plan.geojson"
+    assert main(["plan", str(mixture_file), *DRONE, "--planner", "sector", "--out", str(out)]) == 0
+    lines = [
+        np.array(feature["geometry"]["coordinates"])[:, :2]
+        for feature in json.loads(out.read_text())["features"]
+        if feature["geometry"]["type"] == "LineString"
+    ]
+    expected = LocalFrame(ORIGIN).to_geodetic(waypoints)[:, ::-1]
+    assert any(len(line) == 3 and np.allclose(line, expected, rtol=0, atol=1e-7) for line in lines)
+
+
+def test_the_start_is_geodetic_and_in_the_middle_by_default(mixture_file, monkeypatch):
+    problems = []
+
+    def plan(planner, problem, args):
+        problems.append(problem)
+        return SearchPath(np.array([problem.start]), problem.swath_radius, "none")
+
+    monkeypatch.setattr(module, "_plan", plan)
+    ((latitude, longitude),) = LocalFrame(ORIGIN).to_geodetic([(30.0, 20.0)])
+    arguments = ["plan", str(mixture_file), "--budget", "300", "--swath-radius", "2.5"]
+    main([*arguments, "--planner", "sector", "--start", f"{latitude:.9f},{longitude:.9f}"])
+    main([*arguments, "--planner", "sector"])
+    assert problems[0].start == pytest.approx([30.0, 20.0], abs=1e-3)
+    assert problems[1].start == pytest.approx([75.0, 75.0], abs=1e-3)
+    assert problems[0].step_length == 5.0  # twice the swath radius
+
+
+def test_a_raster_can_be_planned_as_a_mixture_and_is_judged_as_itself(
+    tmp_path, capsys, monkeypatch
+):
+    seen = []
+    plan = module._plan
+    monkeypatch.setattr(
+        module, "_plan", lambda planner, problem, args: (seen.append(problem.pdm), plan(
+            planner, problem, args))[1],
+    )  # fmt: skip
+    glen, picture = demo_map(tmp_path), tmp_path / "glen.png"
+    arguments = [
+        "plan", str(glen), "--budget", "3000", "--swath-radius", "15",
+        "--planner", "expanding_square",
+    ]  # fmt: skip
+    assert main([*arguments, "--mixture", "--picture", str(picture)]) == 0
+    assert isinstance(seen[0], GaussianMixture)
+    out = capsys.readouterr().out
+    assert "planned on a mixture fitted to the raster" in out
+    assert str(picture) in out
+    assert picture.stat().st_size > 10_000
+    assert main([*arguments, "--raster"]) == 0
+    assert seen[1].probability.sum() == pytest.approx(1.0)
+
+
+def test_an_area_file_bounds_the_search(mixture_file, tmp_path, monkeypatch):
+    corners = LocalFrame(ORIGIN).to_geodetic(
+        [(0.0, 0.0), (60.0, 0.0), (60.0, 80.0), (0.0, 80.0), (0.0, 0.0)]
+    )
+    area = tmp_path / "area.geojson"
+    ring = corners[:, ::-1].tolist()
+    area.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    areas = []
+    plan = module._plan
+
+    def spy(planner, problem, args):
+        areas.append(problem.area)
+        return plan(planner, problem, args)
+
+    monkeypatch.setattr(module, "_plan", spy)
+    arguments = ["plan", str(mixture_file), *DRONE, "--planner", "lawnmower", "--area", str(area)]
+    assert main(arguments) == 0
+    assert areas[0].area == pytest.approx(4800.0, rel=1e-6)
+
+
+class Stubborn:
+    """A planner that thinks until it is told to stop."""
+
+    name = "stubborn"
+
+    def __init__(self, on_round):
+        self.on_round = on_round
+
+    def plan(self, problem, *, on_progress=None, should_stop=None):
+        for i in range(10_000):
+            self.on_round(i)
+            if should_stop():
+                return SearchPath(np.array([problem.start]), problem.swath_radius, self.name)
+        raise AssertionError("was never stopped")
+
+
+def test_the_time_budget_and_the_first_interrupt_end_the_planning(
+    mixture_file, monkeypatch, capsys
+):
+    arguments = ["plan", str(mixture_file), *DRONE]
+    slow = Stubborn(lambda i: time.sleep(0.001))
+    monkeypatch.setattr(module, "_planner", lambda args: slow)
+    assert main([*arguments, "--time-budget", "0.05"]) == 0
+    interrupted = Stubborn(lambda i: os.kill(os.getpid(), signal.SIGINT) if i == 3 else None)
+    monkeypatch.setattr(module, "_planner", lambda args: interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    assert main(arguments) == 0
+    assert signal.getsignal(signal.SIGINT) is before
+    twice = Stubborn(lambda i: os.kill(os.getpid(), signal.SIGINT))
+    twice.plan = lambda problem, **_: [twice.on_round(i) for i in range(3)]
+    monkeypatch.setattr(module, "_planner", lambda args: twice)
+    assert main(arguments) == 130
+    assert "e_p" in capsys.readouterr().out
+
+
+def test_mistakes_are_said_in_one_line(mixture_file, tmp_path, capsys):
+    sector = (*DRONE, "--planner", "sector")
+    assert "no such file" in refused(capsys, tmp_path / "none.tif", *sector).lower()
+    assert "suffix" in refused(capsys, tmp_path / "map.shp", *sector)
+    assert "--start: 'here'" in refused(capsys, mixture_file, *sector, "--start", "here")
+    assert "latitude" in refused(capsys, mixture_file, *sector, "--start", "156,-5")
+    assert "outside the search area" in refused(capsys, mixture_file, *sector, "--start", "56.8,-5")
+    assert "no planner is called 'nobody'" in refused(
+        capsys, mixture_file, *DRONE, "--planner", "nobody"
+    )
+    assert "option" in refused(capsys, mixture_file, *sector, "--option", "no_such=1")
+    assert "name=value" in refused(capsys, mixture_file, *sector, "--option", "legs")
+    assert "--out" in refused(capsys, mixture_file, *sector, "--out", tmp_path / "plan.doc")
+    assert "--picture" in refused(capsys, mixture_file, *sector, "--picture", tmp_path / "a.doc")
+    assert "--speed" in refused(capsys, mixture_file, *sector, "--speed", "0")
+    assert "--time-budget" in refused(capsys, mixture_file, *sector, "--time-budget", "nan")
+    assert "--budget" in refused(capsys, mixture_file, "--swath-radius", "3")
+    assert "not allowed with" in refused(capsys, mixture_file, *sector, "--mixture", "--raster")
+
+
+def test_a_real_map(capsys):
+    path = SARENV / "01.tif"
+    if not path.exists():
+        pytest.skip("the SAREnv maps are not here")
+    ((latitude, longitude),) = load_map(path).frame.to_geodetic([(500.0, -500.0)])
+    arguments = ["--budget", "10000", "--swath-radius", "33", "--step", "64"]
+    start = f"{latitude:.6f},{longitude:.6f}"
+    assert main(["plan", str(path), *arguments, "--planner", "sector", "--start", start]) == 0
+    assert "EPSG:32630" in capsys.readouterr().out

@@ -1,0 +1,124 @@
+import json
+
+import pytest
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.evaluation.run import PlannerSpec, RunRecord
+from wisar_planner.evaluation.store import RunStore, setup_digest
+
+SETUP = {"seed": 0, "persons": 10}
+LAWNMOWER = PlannerSpec("lawnmower")
+
+
+def record(index: int, planner: str = "lawnmower") -> RunRecord:
+    return RunRecord(
+        planner=planner,
+        index=index,
+        p_d=0.1,
+        e_p=0.1 / 0.7,
+        p_a=0.7,
+        bound=1.0 / 3.0,
+        curve=[0.0, 0.1 / 0.7],
+        persons=10,
+        found=1,
+        find_total=12.5,
+        find_squares=156.25,
+        find_counts=[0, 1],
+        seconds=0.01,
+        length=512.0,
+        transit=0.0,
+        offset=0.0,
+        start=[1.0, 2.0],
+        waypoints=[[1.0, 2.0], [3.0, 4.0]],
+    )
+
+
+def fill(path, indices, setup=SETUP, planners=(LAWNMOWER,)):
+    with RunStore(path, setup, planners) as store:
+        store.append(record(index) for index in indices)
+        return store.path
+
+
+def test_what_was_written_is_read_back_to_the_last_digit(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(3))
+    with RunStore(path, SETUP, [LAWNMOWER]) as store:
+        assert store.records == [record(0), record(1), record(2)]
+
+
+def test_a_last_line_that_was_torn_off_is_dropped_and_written_over(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(2))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-40])
+    fill(path, [1])
+    assert path.read_bytes() == whole
+
+
+def test_a_torn_header_starts_the_file_over(tmp_path):
+    path = tmp_path / "runs.jsonl"
+    fill(path, [])
+    whole = path.read_bytes()
+    for length in (0, 3, 20):
+        path.write_bytes(whole[:length])
+        fill(path, [])
+        assert path.read_bytes() == whole
+
+
+def test_another_setup_is_refused_with_the_difference(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(2))
+    with pytest.raises(InvalidInput, match="seed is 0 there and 1 here"):
+        RunStore(path, {**SETUP, "seed": 1}, [LAWNMOWER])
+
+
+def test_other_options_of_a_planner_are_refused_with_the_difference(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(2))
+    with pytest.raises(InvalidInput, match=r"lane_spacing is 0\.0 there and 5\.0 here"):
+        RunStore(path, SETUP, [PlannerSpec("lawnmower", {"lane_spacing": 5.0})])
+
+
+def test_runs_of_planners_that_are_not_asked_for_are_left_alone(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(2))
+    with RunStore(path, SETUP, [PlannerSpec("lhc_gw_conv")]) as store:
+        assert store.records == []
+        store.append([record(0, "lhc_gw_conv")])
+    with RunStore(path, SETUP, [LAWNMOWER, PlannerSpec("lhc_gw_conv")]) as store:
+        assert [(r.planner, r.index) for r in store.records] == [
+            ("lawnmower", 0),
+            ("lawnmower", 1),
+            ("lhc_gw_conv", 0),
+        ]
+
+
+def test_a_folder_has_a_file_per_setup(tmp_path):
+    first = fill(tmp_path, [0])
+    second = fill(tmp_path, [0], setup={**SETUP, "seed": 1})
+    assert first != second
+    assert first.name == f"runs-{setup_digest(SETUP)}.jsonl"
+    assert fill(tmp_path, [1]) == first
+
+
+@pytest.mark.parametrize(
+    "content", ["not json\n", '{"other": 1}\n', "[1, 2]\n", "no line end", '{"setup": 3}\n']
+)
+def test_a_foreign_file_is_refused_and_left_as_it_is(tmp_path, content):
+    path = tmp_path / "notes.txt"
+    path.write_text(content)
+    with pytest.raises(InvalidInput, match=r"notes\.txt"):
+        RunStore(path, SETUP, [LAWNMOWER])
+    assert path.read_text() == content
+
+
+def test_a_damaged_line_in_the_middle_is_named(tmp_path):
+    path = fill(tmp_path / "runs.jsonl", range(3))
+    lines = path.read_text().splitlines(keepends=True)
+    lines[3] = lines[3][:50] + "\n"
+    path.write_text("".join(lines))
+    with pytest.raises(InvalidInput, match="line 4"):
+        RunStore(path, SETUP, [LAWNMOWER])
+
+
+def test_every_line_is_on_disk_before_the_next_run(tmp_path):
+    path = tmp_path / "runs.jsonl"
+    with RunStore(path, SETUP, [LAWNMOWER]) as store:
+        store.append([record(0)])
+        kept = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [next(iter(line)) for line in kept] == ["setup", "planner", "run"]

@@ -1,0 +1,321 @@
+"""Mixture files: round trips, hand-written ones, and messages that name the field."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.pdm import GaussianMixture
+from wisar_planner.pdm.geodesy import GeoOrigin
+from wisar_planner.pdm.gis import load_map, save_mixture
+
+coordinates = st.floats(-5_000.0, 5_000.0)
+
+
+@st.composite
+def mixtures(draw):
+    count = draw(st.integers(1, 5))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    roots = rng.normal(scale=30.0, size=(count, 2, 2))
+    return GaussianMixture(
+        rng.dirichlet(np.ones(count)),
+        rng.uniform(-3_000.0, 3_000.0, (count, 2)),
+        roots @ roots.swapaxes(1, 2) + 25.0 * np.eye(2),
+    )
+
+
+@st.composite
+def areas(draw):
+    x, y = draw(coordinates), draw(coordinates)
+    square = shapely.box(x, y, x + draw(st.floats(1.0, 3_000.0)), y + 500.0)
+    kind = draw(st.sampled_from(["plain", "hole", "parts"]))
+    if kind == "hole":
+        return square.difference(square.centroid.buffer(0.2))
+    if kind == "parts":
+        return shapely.union_all([square, shapely.box(x + 4_000.0, y, x + 4_100.0, y + 80.0)])
+    return square
+
+
+origins = st.builds(
+    GeoOrigin, st.floats(-80.0, 80.0), st.floats(-180.0, 180.0), st.floats(-100.0, 5_000.0)
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(mixtures(), areas(), origins, st.sampled_from([".geojson", ".json", ".yaml", ".yml"]))
+def test_what_is_saved_is_loaded_again(tmp_path_factory, mixture, area, origin, suffix):
+    path = tmp_path_factory.mktemp("mixture") / f"map{suffix}"
+    save_mixture(path, mixture, area, origin)
+    loaded = load_map(path)
+    assert loaded.origin == origin
+    assert loaded.notes == ()
+    np.testing.assert_allclose(loaded.pdm.weights, mixture.weights, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(loaded.pdm.means, mixture.means, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(loaded.pdm.covariances, mixture.covariances, rtol=1e-12)
+    assert loaded.area.symmetric_difference(area).area < 1e-4 * area.length
+
+
+def point(longitude, latitude, **properties):
+    return {
+        "type": "Feature",
+        "geometry": {"type": "Point", "coordinates": [longitude, latitude]},
+        "properties": properties,
+    }
+
+
+def collection(*features, **members):
+    return {"type": "FeatureCollection", "features": list(features), **members}
+
+
+SQUARE = {
+    "type": "Polygon",
+    "coordinates": [[[-5.0, 56.7], [-4.98, 56.7], [-4.98, 56.71], [-5.0, 56.71], [-5.0, 56.7]]],
+}
+
+
+def write(path, document):
+    text = document if isinstance(document, str) else json.dumps(document)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_hand_drawn_mixture_with_ellipses(tmp_path):
+    path = write(
+        tmp_path / "map.geojson",
+        collection(
+            point(-5.0, 56.7, weight=0.5, sigma_m=30),
+            point(-4.98, 56.7, weight=0.3, semi_major_m=60, semi_minor_m=20, bearing_deg=90),
+            point(-4.99, 56.71, weight=0.2, semi_major_m=60, semi_minor_m=20, bearing_deg=45),
+        ),
+    )
+    loaded = load_map(path)
+    assert loaded.origin.latitude == pytest.approx(56.7 + 0.01 / 3)
+    assert loaded.origin.longitude == pytest.approx(-4.99)
+    expected = [
+        [[900, 0], [0, 900]],
+        [[3600, 0], [0, 400]],  # a long axis that points east
+        [[2000, 1600], [1600, 2000]],
+    ]
+    np.testing.assert_allclose(loaded.pdm.covariances, expected, atol=1e-9)
+    # A minute of longitude is 1.0188 km at 56.7 degrees north.
+    assert loaded.pdm.means[1, 0] - loaded.pdm.means[0, 0] == pytest.approx(1225.5, abs=1.0)
+    assert loaded.area.bounds[0] == pytest.approx(loaded.pdm.means[0, 0] - 90.0, abs=1e-9)
+    assert "3 standard deviations" in loaded.notes[0]
+
+
+def test_points_astride_the_antimeridian_have_their_origin_between_them(tmp_path):
+    document = collection(
+        point(179.999, -17.0, weight=0.5, sigma_m=30),
+        point(-179.999, -17.0, weight=0.5, sigma_m=30),
+    )
+    loaded = load_map(write(tmp_path / "map.geojson", document))
+    assert abs(loaded.origin.longitude) == pytest.approx(180.0, abs=1e-9)
+    assert np.abs(loaded.pdm.means[:, 0]) == pytest.approx([106.5, 106.5], abs=0.5)
+
+
+def test_an_area_file_replaces_the_area(tmp_path):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    area = write(tmp_path / "area.geojson", SQUARE)
+    loaded = load_map(path, area=area)
+    assert loaded.area.area == pytest.approx(1225.5 * 1113.5, rel=1e-3)
+    with pytest.raises(InvalidInput, match=r"map\.geojson: no Polygon"):
+        load_map(path, area=path)
+
+
+def test_an_area_cut_by_the_antimeridian_becomes_one(tmp_path):
+    def strip(x0, x1):
+        return [[[x0, -17.0], [x1, -17.0], [x1, -16.99], [x0, -16.99], [x0, -17.0]]]
+
+    document = collection(
+        point(180.0, -16.995, weight=1, sigma_m=30),
+        {
+            "type": "Feature",
+            "geometry": {
+                "type": "MultiPolygon",
+                "coordinates": [strip(179.99, 180.0), strip(-180.0, -179.99)],
+            },
+            "properties": {"role": "search_area"},
+        },
+    )
+    area = load_map(write(tmp_path / "map.geojson", document)).area
+    # Rounding may leave a sliver between the halves; what counts is that they meet.
+    assert area.buffer(0.01).geom_type == "Polygon"
+    assert area.bounds[2] - area.bounds[0] == pytest.approx(2 * 1065, abs=5)
+
+
+GOOD = collection(
+    point(-5.0, 56.7, weight=0.5, sigma_m=30), point(-4.99, 56.7, weight=0.5, sigma_m=30)
+)
+
+
+def changed(*keys, to):
+    """GOOD with the value at a path of keys replaced, or removed for None."""
+    document = copy.deepcopy(GOOD)
+    target = document
+    for key in keys[:-1]:
+        target = target[key]
+    if to is None:
+        del target[keys[-1]]
+    else:
+        target[keys[-1]] = to
+    return document
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ("{", "not valid JSON"),
+        ("[" * 100_000, "not valid JSON"),
+        ("[]", "not GeoJSON"),
+        ('{"type": "FeatureCollection", "features": [NaN]}', "NaN is not a JSON number"),
+        (collection(), "no Point with a weight"),
+        (collection(crs={"properties": {"name": "urn:ogc:def:crs:EPSG::27700"}}), "ogr2ogr -t_srs"),
+        (changed("features", to={}), "features must be a list"),
+        (changed("features", 1, "geometry", to=None), r"features\[1\] must be .* geometry"),
+        (
+            changed("features", 0, "geometry", "coordinates", to=[217_000, 768_500]),
+            r"features\[0\]\.geometry\.coordinates .*no \[longitude, latitude\]",
+        ),
+        (changed("features", 0, "geometry", "coordinates", to=["5", 6]), "in degrees, not"),
+        (
+            changed("features", 1, "properties", "weight", to=None),
+            r"features\[1\]\.properties\.weight is missing",
+        ),
+        (changed("features", 1, "properties", "weight", to="half"), "weight is 'half'"),
+        (changed("features", 1, "properties", "weight", to=0.4), "sum to 0.9 and not to 1"),
+        (changed("features", 1, "properties", "sigma_m", to=0), "sigma_m is 0; give a length"),
+        (changed("features", 1, "properties", "sigma_m", to=None), "exactly one of covariance_m2"),
+        (
+            changed("features", 1, "properties", to={"weight": 0.5, "covariance_m2": [[1, 0]]}),
+            r"covariance_m2 is \[\[1, 0\]\]",
+        ),
+        (
+            changed(
+                "features", 1, "properties", to={"weight": 0.5, "covariance_m2": [[1, 2], [2, 1]]}
+            ),
+            "covariance",
+        ),
+        (changed("features", 0, "properties", "weight", to=-0.5), "weight"),
+        (
+            collection(
+                *GOOD["features"],
+                {"type": "Feature", "geometry": SQUARE, "properties": {"role": "keep_out"}},
+            ),
+            "keep_out zones are not supported",
+        ),
+        (
+            collection(
+                *GOOD["features"], {"type": "Feature", "geometry": SQUARE, "properties": None}
+            ),
+            "Polygon with role None",
+        ),
+        ({**GOOD, "origin": [0]}, r"origin must be \[longitude, latitude\]"),
+    ],
+)
+def test_wrong_geojson_is_refused_by_its_field(tmp_path, document, message):
+    path = write(tmp_path / "wrong.geojson", document)
+    with pytest.raises(InvalidInput, match=rf"wrong\.geojson: (?s:.)*{message}"):
+        load_map(path)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "message"),
+    [
+        ({"type": "LineString", "coordinates": []}, "must be Polygon or MultiPolygon"),
+        ({"type": "Polygon", "coordinates": []}, "lists of rings"),
+        ({"type": "Polygon", "coordinates": [[[0, 0], [1, 1]]]}, "at least four positions"),
+        (
+            {"type": "Polygon", "coordinates": [[[0, 0], [1, 1], [1, 0], [0, 1], [0, 0]]]},
+            "Self-intersection.*repair",
+        ),
+        (
+            {"type": "Polygon", "coordinates": [[[0, 0], [0, 0], [0, 0], [0, 0]]]},
+            "valid polygon|with an area",
+        ),
+    ],
+    ids=["line", "empty", "short", "bow", "flat"],
+)
+def test_a_wrong_search_area_is_refused(tmp_path, geometry, message):
+    area = {"type": "Feature", "geometry": geometry, "properties": {"role": "search_area"}}
+    path = write(tmp_path / "map.geojson", collection(point(0.5, 0.5, weight=1, sigma_m=30), area))
+    with pytest.raises(InvalidInput, match=rf"features\[1\]\.geometry(?s:.)*({message})"):
+        load_map(path)
+
+
+def test_a_yaml_mixture_in_local_metres(tmp_path):
+    path = tmp_path / "map.yaml"
+    path.write_text(
+        """
+        origin: {latitude: 56.78, longitude: -4.98}
+        weights: [0.6, 0.4]
+        means: [[40, 60], [110, 90]]
+        covariances: [[[500, 0], [0, 500]], [[900, 200], [200, 400]]]
+        area: {rectangle: [0, 0, 150, 150]}
+        """
+    )
+    loaded = load_map(path)
+    assert loaded.origin == GeoOrigin(56.78, -4.98)
+    assert loaded.area.equals(shapely.box(0, 0, 150, 150))
+    np.testing.assert_array_equal(loaded.pdm.means, [[40, 60], [110, 90]])
+    with pytest.raises(InvalidInput, match="origin"):
+        load_map(path, origin=GeoOrigin(0.0, 0.0))
+
+
+YAML = {
+    "origin": {"latitude": 56.78, "longitude": -4.98},
+    "weights": [0.5, 0.5],
+    "means": [[40, 60], [110, 90]],
+    "covariances": [[[500, 0], [0, 500]]] * 2,
+    "area": {"rectangle": [0, 0, 150, 150]},
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"origin": None}, "origin is missing; add origin"),
+        ({"origin": {"latitude": 95, "longitude": 0}}, "origin: latitude must lie between"),
+        ({"origin": {"latitude": 5}}, "origin.longitude is missing"),
+        ({"origin": {"lat": 5}}, "unknown field 'lat'"),
+        ({"weights": [0.5, float("nan")]}, r"weights\[1\] is nan"),
+        ({"weights": [0.5, 0.6]}, "sum to 1.1"),
+        ({"weights": [1.0]}, "equally long, not 1, 2 and 2"),
+        ({"weights": []}, "one entry for each component"),
+        ({"means": [[1, 2, 3], [4, 5]]}, r"means\[0\] is \[1, 2, 3\]; give a list of 2"),
+        ({"covariances": [[[1, 2], [2, 1]]] * 2}, "covariance"),
+        ({"covarianses": []}, "unknown field 'covarianses'"),
+        ({"area": {"rectangle": [0, 0, 0, 1]}}, "with an area"),
+        ({"area": {"rectangle": [0, 0, 1]}}, "list of 4 numbers"),
+        ({"area": {"polygon": [[0, 0], [1, 0], [1, float("inf")]]}}, "finite corners"),
+        ({"area": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}}, "Self-intersection"),
+        ({"area": {"polygon": [1, 2]}}, r"corners \[\[x, y\]"),
+        ({"area": {"polygon": [[0, "a"], [1, 1], [1, 0]]}}, r"corners \[\[x, y\]"),
+        ({"area": {"polygon": [[0, 0], [1, 1]]}}, r"corners \[\[x, y\]"),
+        ({"area": {}}, "one of rectangle and polygon"),
+    ],
+)
+def test_wrong_yaml_is_refused_by_its_field(tmp_path, changes, message):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(yaml.safe_dump({**YAML, **changes}))
+    with pytest.raises(InvalidInput, match=rf"wrong\.yaml: (?s:.)*{message}"):
+        load_map(path)
+
+
+@pytest.mark.parametrize("text", ["a: [", "- 1", "", "!!python/object/apply:os.getcwd []"], ids=str)
+def test_what_is_no_yaml_mapping_is_refused(tmp_path, text):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=r"wrong\.yaml: "):
+        load_map(path)
+
+
+def test_an_unknown_suffix_cannot_be_saved(tmp_path):
+    mixture = GaussianMixture([1.0], [[0.0, 0.0]], [np.eye(2)])
+    with pytest.raises(InvalidInput, match=r"suffix '\.kml'"):
+        save_mixture(tmp_path / "map.kml", mixture, shapely.box(0, 0, 1, 1), GeoOrigin(0.0, 0.0))

@@ -1,0 +1,266 @@
+"""GeoTIFF maps: the warp against independent geometry, and what is refused."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rasterio.transform import Affine, from_origin
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.pdm import GaussianMixture, RasterMap
+from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
+from wisar_planner.pdm.gis import load_map
+
+SARENV = Path(__file__).parents[5] / "shared" / "data" / "sarenv"
+PLACE = GeoOrigin(56.77, -5.0)
+
+
+def write_tif(path, values, crs="EPSG:32630", transform=None, mask=None, **profile):
+    values = np.atleast_2d(values)
+    transform = from_origin(377_000, 6_293_000, 10, 10) if transform is None else transform
+    rows, columns = values.shape
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        count=1,
+        dtype=profile.pop("dtype", values.dtype),
+        width=columns,
+        height=rows,
+        crs=crs,
+        transform=transform,
+        **profile,
+    ) as dataset:
+        dataset.write(values, 1)
+        if mask is not None:
+            dataset.write_mask(mask)
+    return path
+
+
+def around(crs, cell, columns, rows, turn=0.0):
+    """A geotransform whose raster has PLACE near its centre."""
+    x, y = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(
+        PLACE.longitude, PLACE.latitude
+    )
+    width, height = cell if isinstance(cell, tuple) else (cell, cell)
+    sin, cos = np.sin(np.radians(turn)), np.cos(np.radians(turn))
+    a, b, d, e = cos * width, sin * height, sin * width, -cos * height
+    x0, y0 = x - a * columns / 2 - b * rows / 2, y - d * columns / 2 - e * rows / 2
+    return Affine(a, b, x0, d, e, y0)
+
+
+def corners_in_local(crs, transform, rows, columns, frame):
+    """Local positions of the corners of all cells, (rows + 1, columns + 1, 2)."""
+    u, v = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1))
+    x, y = np.array(transform).reshape(3, 3)[:2] @ (u.ravel(), v.ravel(), np.ones(u.size))
+    lon, lat = pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform(x, y)
+    return frame.to_local(lat, lon).reshape(rows + 1, columns + 1, 2)
+
+
+PLACES = [
+    pytest.param("EPSG:32630", 10.0, 0.0, id="utm"),
+    pytest.param("EPSG:27700", 10.0, 0.0, id="british-grid"),
+    pytest.param("EPSG:4326", (16e-5, 9e-5), 0.0, id="degrees"),
+    pytest.param("EPSG:32630", 10.0, 30.0, id="rotated"),
+    pytest.param("EPSG:3857", 18.0, 0.0, id="web-mercator"),
+]
+
+
+@pytest.mark.parametrize(("crs", "cell", "turn"), PLACES)
+def test_a_known_mixture_survives_the_warp(tmp_path, crs, cell, turn):
+    mixture = GaussianMixture(
+        [0.6, 0.4],
+        [[-150.0, 80.0], [120.0, -60.0]],
+        [[[4000.0, 1500.0], [1500.0, 3000.0]], [[2500.0, 0.0], [0.0, 5000.0]]],
+    )
+    rows, columns = 101, 120
+    transform = around(crs, cell, columns, rows, turn)
+    corners = corners_in_local(crs, transform, rows, columns, LocalFrame(PLACE))
+    quads = shapely.polygons(
+        np.stack(
+            (corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]), axis=2
+        ).reshape(-1, 4, 2)
+    )
+    centres = (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, 1:] + corners[1:, :-1]) / 4.0
+    masses = mixture.density(centres.reshape(-1, 2)) * shapely.area(quads)
+    path = write_tif(tmp_path / "map.tif", masses.reshape(rows, columns), crs, transform)
+
+    loaded = load_map(path, origin=PLACE)
+
+    raster = loaded.pdm
+    assert isinstance(raster, RasterMap)
+    assert raster.probability.sum() == pytest.approx(1.0, abs=1e-12)
+    expected = mixture.rasterize(raster.grid)
+    # Splitting cells smears the map by about half a cell of its 50 to 70 m spread.
+    assert 0.5 * np.abs(raster.probability - expected).sum() < 0.01
+    mean = np.einsum("ij,ijk->k", raster.probability, raster.grid.centres())
+    assert mean == pytest.approx(mixture.weights @ mixture.means, abs=0.2)
+    assert loaded.area.area == pytest.approx(shapely.area(quads).sum(), rel=1e-3)
+    assert raster.grid.cell == pytest.approx(np.sqrt(shapely.area(quads).mean()), rel=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(1, 4),
+    st.integers(1, 4),
+    st.floats(-180.0, 180.0),
+    st.floats(10.0, 40.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_warp_splits_each_cell_by_area(tmp_path_factory, rows, columns, turn, cell, seed):
+    masses = np.random.default_rng(seed).random((rows, columns)) + 0.1
+    transform = around("EPSG:27700", 20.0, columns, rows, turn)
+    path = tmp_path_factory.mktemp("warp") / "map.tif"
+    loaded = load_map(write_tif(path, masses, "EPSG:27700", transform), cell=cell)
+
+    corners = corners_in_local("EPSG:27700", transform, rows, columns, loaded.frame)
+    quads = shapely.polygons(
+        np.stack(
+            (corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]), axis=2
+        ).reshape(-1, 4, 2)
+    )
+    grid = loaded.pdm.grid
+    x, y = np.meshgrid(grid.x_edges[:-1], grid.y_edges[:-1])
+    boxes = shapely.box(x, y, x + grid.cell, y + grid.cell)
+    share = shapely.area(shapely.intersection(boxes[..., None], quads)) / shapely.area(quads)
+    expected = share @ (masses.ravel() / masses.sum())
+    assert loaded.pdm.probability == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_origin_is_the_centre_and_north_is_up(tmp_path):
+    values = np.zeros((5, 7))
+    values[0, 6] = 1.0  # the north-east corner of a north-up file
+    loaded = load_map(write_tif(tmp_path / "map.tif", values))
+    ((east, north),) = loaded.pdm.grid.centres()[
+        np.unravel_index(loaded.pdm.probability.argmax(), loaded.pdm.probability.shape)
+    ][None]
+    assert (east, north) == pytest.approx((30.0, 20.0), abs=1.5)
+    assert loaded.area.centroid.coords[0] == pytest.approx((0.0, 0.0), abs=0.1)
+    assert loaded.source.endswith("map.tif")
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint32", "float32", "float64"])
+def test_weights_of_any_type_are_normalised_with_a_note(tmp_path, dtype):
+    values = np.array([[1, 2], [3, 4]], dtype=dtype)
+    loaded = load_map(write_tif(tmp_path / "map.tif", values))
+    assert loaded.pdm.probability.sum() == pytest.approx(1.0, abs=1e-12)
+    assert any("sum to 10" in note for note in loaded.notes)
+
+
+def test_scale_and_offset_of_the_band_are_applied(tmp_path):
+    path = write_tif(tmp_path / "map.tif", np.array([[0, 20]], dtype="int16"))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = (0.1,), (2.0,)
+    notes = load_map(path).notes
+    assert any("sum to 6" in note for note in notes)  # 2 + (20 / 10 + 2)
+
+
+@pytest.mark.parametrize(
+    ("marked", "options"),
+    [
+        (-9999.0, {"nodata": -9999.0}),
+        (np.nan, {"nodata": np.nan}),
+        (np.nan, {}),
+        (7.0, {"mask": np.array([[0, 255, 255]], dtype="uint8")}),
+    ],
+    ids=["nodata", "declared-nan", "undeclared-nan", "mask"],
+)
+def test_cells_without_data_weigh_nothing(tmp_path, marked, options):
+    loaded = load_map(write_tif(tmp_path / "map.tif", np.array([[marked, 0.25, 0.75]]), **options))
+    xmin, ymin, _, ymax = loaded.area.bounds
+    assert loaded.pdm.integrate(shapely.box(xmin, ymin, xmin + 9.0, ymax)) < 0.01
+    assert any(note.startswith("1 cells without data (33.3%)") for note in loaded.notes)
+    assert loaded.pdm.probability.sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_band_and_a_cell_size_can_be_chosen(tmp_path):
+    path = tmp_path / "bands.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", count=2, dtype="float32", width=4, height=4,
+        crs="EPSG:32630", transform=from_origin(377_000, 6_293_000, 10, 10),
+    ) as dataset:  # fmt: skip
+        dataset.write(np.zeros((4, 4), dtype="float32"), 1)
+        dataset.write(np.ones((4, 4), dtype="float32"), 2)
+    loaded = load_map(path, band=2, cell=2.5)
+    assert loaded.pdm.grid.cell == 2.5
+    with pytest.raises(InvalidInput, match="all values are 0"):
+        load_map(path, band=1)
+    with pytest.raises(InvalidInput, match="has no band 3; choose one of 1 to 2"):
+        load_map(path, band=3)
+    with pytest.raises(InvalidInput, match="cell"):
+        load_map(path, band=2, cell=1e-6)
+    with pytest.raises(InvalidInput, match="cell"):
+        load_map(path, band=2, cell=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "message"),
+    [
+        (np.array([[1.0, -9999.0]]), {}, "1 values are negative.*gdal_edit.py -a_nodata -9999"),
+        (np.array([[1.0, np.inf]]), {}, "1 values are infinite"),
+        (np.zeros((2, 2)), {}, "all values are 0"),
+        (np.full((2, 2), np.nan), {}, "all values are 0"),
+        (np.ones((2, 2)), {"crs": None}, "no coordinate reference system.*gdal_edit.py -a_srs"),
+        (np.ones((2, 2)), {"transform": Affine.identity()}, "no geotransform.*-a_ullr"),
+        (np.ones((2, 2), dtype="complex64"), {}, "complex"),
+        (
+            np.ones((2, 2)),
+            {"crs": "EPSG:4326", "transform": from_origin(-60.0, 60.0, 30.0, 30.0)},
+            "km from its origin.*crop",
+        ),
+        (
+            np.ones((2, 2)),
+            {"crs": "EPSG:4326", "transform": from_origin(0.0, 400.0, 1.0, 1.0)},
+            "check its CRS and geotransform",
+        ),
+    ],
+    ids=["negative", "inf", "zero", "nan", "crs", "transform", "complex", "planet", "beyond"],
+)
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_wrong_values_and_places_are_refused(tmp_path, values, options, message):
+    path = write_tif(tmp_path / "wrong.tif", values, **options)
+    with pytest.raises(InvalidInput, match=rf"wrong\.tif: (?s:.)*{message}"):
+        load_map(path)
+
+
+def test_broken_files_are_refused_in_one_line(tmp_path, capfd, caplog):
+    caplog.set_level(logging.CRITICAL)
+    whole = write_tif(tmp_path / "map.tif", np.random.default_rng(0).random((200, 200)))
+    text, cut = tmp_path / "text.tif", tmp_path / "cut.tif"
+    text.write_text("not a raster")
+    cut.write_bytes(whole.read_bytes()[:10_000])
+    for path in (text, cut):
+        with pytest.raises(InvalidInput, match="not a readable GeoTIFF"):
+            load_map(path)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        load_map(tmp_path / "none.tif")
+    with pytest.raises(InvalidInput, match=r"suffix '\.shp' is not one of \.tif"):
+        load_map(tmp_path / "map.shp")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["01", "06"])
+def test_real_maps_load_with_all_their_mass(name):
+    path = SARENV / f"{name}.tif"
+    if not path.exists():
+        pytest.skip("the SAREnv maps are not here")
+    loaded = load_map(path)
+    assert loaded.pdm.probability.sum() == pytest.approx(1.0, abs=1e-9)
+    assert loaded.pdm.grid.cell == pytest.approx(30.0, rel=1e-3)
+    with rasterio.open(path) as dataset:
+        values, bounds = dataset.read(1).astype(float), dataset.bounds
+    # The mass of the quarter nearest the last known position, by the file and by us.
+    rows, columns = values.shape
+    middle = values[rows // 4 : -(rows // 4), columns // 4 : -(columns // 4)].sum()
+    lon, lat = pyproj.Transformer.from_crs(dataset.crs.to_wkt(), 4326, always_xy=True).transform(
+        bounds.left + np.array([columns // 4, columns - columns // 4]) * 30.0,
+        bounds.bottom + np.array([rows // 4, rows - rows // 4]) * 30.0,
+    )
+    (x0, y0), (x1, y1) = loaded.frame.to_local(lat, lon)
+    assert loaded.pdm.integrate(shapely.box(x0, y0, x1, y1)) == pytest.approx(middle, abs=0.01)

@@ -1,0 +1,133 @@
+import numpy as np
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wisar_planner import GaussianMixture, SearchArea, SearchProblem
+from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
+from wisar_planner.planners.swath_kernels import (
+    ADD,
+    MEASURE,
+    PERIODS,
+    REMOVE,
+    inside,
+    paint,
+    paint_path,
+    path_value,
+)
+
+COORDINATE = st.floats(-5.0, 35.0, allow_subnormal=False).map(lambda x: round(x, 6))
+
+
+def covered(ends, radius, shape):
+    """Return which cells lie within the radius of a segment; None where one is on the very edge."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    segment = shapely.LineString([ends[:2], ends[2:]])
+    distance = shapely.distance(segment, shapely.points(x, y))
+    return None if (np.abs(distance - radius) < 1e-6).any() else distance < radius
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    ends=st.tuples(COORDINATE, COORDINATE, COORDINATE, COORDINATE),
+    radius=st.floats(0.3, 9.0),
+    period=st.integers(0, PERIODS - 1),
+    seed=st.integers(0, 1000),
+)
+def test_paint_agrees_with_the_distance_to_the_segment(ends, radius, period, seed):
+    rng = np.random.default_rng(seed)
+    weights = rng.integers(0, 1 << 20, (30, 27)).astype(np.int32)
+    seen = rng.random((PERIODS, 30, 27)) < 0.2
+    counts = (
+        seen.astype(np.uint64) << (16 * np.arange(PERIODS, dtype=np.uint64))[:, None, None]
+    ).sum(axis=0, dtype=np.uint64)
+    before = counts.copy()
+    swath = covered(ends, radius, counts.shape)
+    if swath is None:
+        return
+    until = np.logical_or.accumulate(seen, axis=0)  # seen until the end of each period
+    gains = [int(weights[swath & ~until[p]].sum()) if p >= period else 0 for p in range(PERIODS)]
+    tally = np.zeros(PERIODS, np.int64)
+    args = (counts, weights, *ends, radius, period)
+    assert paint(*args, MEASURE, tally) == gains[-1]
+    assert not tally.any()
+    np.testing.assert_array_equal(counts, before)
+    assert paint(*args, ADD, tally) == gains[-1]
+    np.testing.assert_array_equal(tally, gains)
+    assert paint(*args, REMOVE, tally) == -gains[-1]
+    np.testing.assert_array_equal(tally, 0)
+    np.testing.assert_array_equal(counts, before)
+
+
+def test_tally_of_a_path_is_what_its_beginnings_see():
+    rng = np.random.default_rng(4)
+    weights = rng.integers(0, 1 << 20, (60, 60)).astype(np.int32)
+    points = rng.uniform(10, 50, (17, 2))
+    counts, tally = np.zeros((60, 60), np.uint64), np.zeros(PERIODS, np.int64)
+    paint_path(counts, weights, points, 0, 16, 2.3, ADD, tally)
+    for steps, total in zip((2, 6, 12, 16), tally, strict=True):
+        seen = np.zeros((60, 60), bool)
+        for i in range(steps):
+            seen |= covered((*points[i], *points[i + 1]), 2.3, seen.shape)
+        assert total == weights[seen].sum()
+    assert path_value(tally, 0.3) == tally[3] + 0.1 * tally[:3].sum()
+    paint_path(counts, weights, points, 0, 16, 2.3, REMOVE, tally)
+    assert not counts.any()
+    assert not tally.any()
+
+
+def problem(polygon):
+    centre = polygon.representative_point()
+    return SearchProblem(
+        pdm=GaussianMixture(np.ones(1), [[centre.x, centre.y]], 400.0 * np.eye(2)[None]),
+        area=SearchArea.from_polygon(polygon),
+        start=np.array([centre.x, centre.y]),
+        step_length=8.0,
+        swath_radius=2.5,
+        max_distance=200.0,
+    )
+
+
+def test_inside_agrees_with_the_polygon():
+    star = shapely.Polygon(
+        [
+            (50 + r * np.cos(t), 50 + r * np.sin(t))
+            for t, r in zip(np.linspace(0, 2 * np.pi, 30)[:-1], [45, 20, 33] * 10, strict=False)
+        ]
+    ).difference(shapely.box(45, 40, 58, 47))
+    raster = SearchRaster(problem(star), COARSE)
+    points = np.random.default_rng(3).uniform(0, 100, (4000, 2))
+    cells = raster.to_cells(points)
+    ours = [inside(raster.kinds, raster.edges, x, y) for x, y in cells]
+    np.testing.assert_array_equal(ours, shapely.contains_xy(star, points))
+    np.testing.assert_allclose(raster.to_metres(cells), points, atol=1e-9)
+
+
+def test_raster_holds_the_map_with_a_margin_for_the_swath():
+    rectangle = problem(shapely.box(0, 0, 100, 60))
+    for fineness in (COARSE, FINE):
+        raster = SearchRaster(rectangle, fineness)
+        assert raster.radius == np.float64(fineness)
+        xmin, ymin, xmax, ymax = raster.grid.bounds
+        assert xmin <= -2.5
+        assert ymin <= -2.5
+        assert xmax >= 102.5
+        assert ymax >= 62.5
+        mass = rectangle.pdm.rasterize(raster.grid)
+        np.testing.assert_allclose(raster.weights * raster.unit, mass, atol=raster.unit)
+
+
+def test_wide_worlds_get_coarser_cells_and_only_what_is_in_reach():
+    wide = SearchProblem(
+        pdm=GaussianMixture(np.ones(1), np.array([[0.0, 0.0]]), 1e6 * np.eye(2)[None]),
+        area=SearchArea.rectangle(-1e5, -1e5, 1e5, 1e5),
+        start=np.zeros(2),
+        step_length=8.0,
+        swath_radius=2.5,
+        max_distance=500.0,
+    )
+    near = SearchRaster(wide, COARSE)
+    assert near.grid.bounds[2] < 510.0
+    far = SearchRaster(SearchProblem(wide.pdm, wide.area, wide.start, 8.0, 2.5, 5e4), COARSE)
+    assert far.weights.size < 1.01 * (1 << 22)
+    assert far.radius < COARSE

@@ -1,0 +1,534 @@
+"""Benchmark of the MAVLink library: bad links, cut links, hostile bytes, and speed beside MAVSDK.
+
+Everything stays inside this process or on 127.0.0.1 and is bounded in count and time. The
+simulated autopilot is a package of its own, `wisar_sim`, which these rows need.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+import select
+import statistics
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.evaluation.bench_row import BenchRow
+from wisar_planner.mavlink.client import MissionClient
+from wisar_planner.mavlink.codec import Codec, Message
+from wisar_planner.mavlink.dialect import dialect_of
+from wisar_planner.mavlink.exchange import Address, item_message
+from wisar_planner.mavlink.link import Link
+from wisar_planner.mavlink.link_estimate import LinkEstimates
+from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind, build_mission
+from wisar_planner.mavlink.session import Session
+from wisar_planner.mavlink.transfer import MissionTransfer, UploadResult
+from wisar_planner.mavlink.upload import Upload, UploadEnd
+
+if TYPE_CHECKING:
+    from wisar_sim.autopilot.bad_link import LinkFaults
+    from wisar_sim.autopilot.mission_server import MissionServer, StoredItem
+
+UPLOADS = 1_000
+CUTS = 200
+FRAMES = 1_000_000
+_ONLY_MISSION = [MissionKind.MISSION]
+_VEHICLE = Address(1, 1)
+_REAL_UPLOADS = {0.0: 16, 0.1: 16, 0.3: 8, 0.5: 4}
+_CLEAN_REPETITIONS = 30
+
+
+def _mission(items: int, north: float = 57.0, altitude: float = 40.0) -> Mission:
+    """Make a mission of exactly so many items."""
+    plan = np.column_stack((north + 1e-4 * np.arange(items - 3), np.full(items - 3, -4.0)))
+    mission = build_mission(plan, altitude_m=altitude, speed=8.0)
+    assert len(mission.items) == items
+    return mission
+
+
+def _stored(mission: Mission) -> tuple[StoredItem, ...]:
+    from wisar_sim.autopilot.mission_server import StoredItem
+
+    return tuple(StoredItem(i.command, i.frame, i.params, i.x, i.y, i.z) for i in mission.items)
+
+
+def _places(items: Any) -> list[tuple[int, int, int, float]]:
+    return [(i.command, i.x, i.y, i.z) for i in items]
+
+
+def _server(profile: str) -> MissionServer:
+    from wisar_sim.autopilot.mission_server import MissionServer, StoredItem
+    from wisar_sim.autopilot.profile import PROFILES
+
+    home = StoredItem(16, 0, (0.0, 0.0, 0.0, 0.0), 570_000_000, -40_000_000, 0.0)
+    return MissionServer(PROFILES[profile], lambda: home)
+
+
+def _transfer(mission: Mission, server: MissionServer) -> MissionTransfer:
+    dialect = dialect_of(server.profile.autopilot)
+    return MissionTransfer(mission, _VEHICLE, dialect, kinds=_ONLY_MISSION)
+
+
+# -- uploads over bad links ------------------------------------------------------------------
+
+
+def _faults(loss: float, duplication: float = 0.1) -> LinkFaults:
+    from wisar_sim.autopilot.bad_link import LinkFaults
+
+    return LinkFaults(
+        loss=loss,
+        duplication=duplication,
+        reordering=0.1,
+        corruption=0.01,
+        delay_s=0.02,
+        jitter_s=0.02,
+    )
+
+
+@dataclass(frozen=True)
+class _Outcomes:
+    """What came of many uploads."""
+
+    uploads: int
+    verified: int
+    failed_in_words: int
+    corrupted: int
+    median_s: float
+    longest_s: float
+
+    @classmethod
+    def of(cls, results: list[tuple[UploadResult, bool]]) -> _Outcomes:
+        """Count results, each with whether the autopilot holds what the result says."""
+        times = [result.elapsed_s for result, _ in results]
+        return cls(
+            uploads=len(results),
+            verified=sum(result.verified for result, _ in results),
+            failed_in_words=sum(not r.verified and bool(r.error) for r, _ in results),
+            corrupted=sum(not sound for _, sound in results),
+            median_s=statistics.median(times),
+            longest_s=max(times),
+        )
+
+
+def _simulated_uploads(
+    profile: str, loss: float, count: int, duplication: float = 0.1
+) -> _Outcomes:
+    """Upload at simulated time: real frames and state machines, a simulated wire and clock."""
+    from wisar_sim.autopilot.bad_link import BadLink
+    from wisar_sim.autopilot.conversation import Conversation
+
+    old, new = _mission(10, north=56.0), _mission(64)
+    faults = _faults(loss, duplication)
+    results = []
+    for seed in range(count):
+        server = _server(profile)
+        server.lists[0] = _stored(old)
+        talk = Conversation(server, BadLink(faults, 2 * seed), BadLink(faults, 2 * seed + 1))
+        talk.now = 60.0  # long after boot
+        transfer = _transfer(new, server)
+        talk.run(transfer)
+        talk.settle(60.0)
+        assert transfer.result is not None
+        held = _places(server.lists[0])
+        sound = held == _places(new.items) or (
+            not transfer.result.verified and held == _places(old.items)
+        )
+        results.append((transfer.result, sound))
+    return _Outcomes.of(results)
+
+
+def _real_uploads(loss: float, count: int) -> _Outcomes:
+    """Upload over UDP sockets on 127.0.0.1, in real time."""
+    new = _mission(64)
+
+    def one(seed: int) -> tuple[UploadResult, bool]:
+        options = ["--loss", str(loss), "--duplication", "0.1", "--reordering", "0.1"]
+        options += ["--corruption", "0.01", "--seed", str(1000 * seed)]
+        with (
+            _sim_autopilot("px4", *options) as port,
+            MissionClient(f"udpout:127.0.0.1:{port}") as client,
+        ):
+            client.wait_heartbeat(60.0)
+            result = client.upload(new, kinds=_ONLY_MISSION)
+            held = client.download() if result.verified else ()
+        return result, not result.verified or _places(held) == _places(new.items)
+
+    with ThreadPoolExecutor(8) as pool:
+        return _Outcomes.of(list(pool.map(one, range(count))))
+
+
+def _mavsdk_uploads(loss: float, count: int) -> int:
+    """Return how many uploads MAVSDK's own client completes on the same links."""
+    if not _has_mavsdk():
+        return 0
+
+    def one(seed: int) -> bool:
+        options = ["--loss", str(loss), "--duplication", "0.1", "--reordering", "0.1"]
+        options += ["--corruption", "0.01", "--seed", str(1000 * seed)]
+        with _sim_autopilot("px4", *options) as port, _mavsdk_client(port) as upload:
+            return upload is not None and upload(_mission(64))
+
+    with ThreadPoolExecutor(4) as pool:
+        return sum(pool.map(one, range(count)))
+
+
+def _loss_row(percent: int) -> BenchRow:
+    loss = percent / 100.0
+    main = _simulated_uploads("px4", loss, UPLOADS)
+    others = {p: _simulated_uploads(p, loss, UPLOADS // 5) for p in ("mavsdk", "ardupilot")}
+    # ArduPilot ends an upload at any item that comes twice, which nobody can prevent on a link
+    # that duplicates; without that it shows what losses alone do.
+    others["ardupilot, nothing duplicated"] = _simulated_uploads(
+        "ardupilot", loss, UPLOADS // 5, duplication=0.0
+    )
+    real = _real_uploads(loss, _REAL_UPLOADS[loss])
+    compared = _REAL_UPLOADS[loss]
+    theirs = _mavsdk_uploads(loss, compared) / compared if _has_mavsdk() else None
+    ours = real.verified / real.uploads
+    return BenchRow(
+        name=f"mission_upload_loss_{percent}",
+        unit="share of uploads complete, real UDP on 127.0.0.1",
+        ours=ours,
+        peer=theirs,
+        peer_name=f"MAVSDK {version('mavsdk')}, not verified" if theirs is not None else None,
+        ratio=ours / theirs if theirs else None,
+        details={
+            **vars(main),
+            "how": "64 items, px4 profile, simulated time; faults each way",
+            "faults": vars(_faults(loss)),
+            "other_profiles": {name: vars(outcomes) for name, outcomes in others.items()},
+            "real_udp": vars(real),
+            "peer_uploads": compared if theirs is not None else 0,
+        },
+    )
+
+
+# -- cut links -------------------------------------------------------------------------------
+
+
+def _cut_row() -> BenchRow:
+    """Cut the link for good at random moments of an upload, while items are still to come."""
+    from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
+    from wisar_sim.autopilot.conversation import Conversation
+
+    rng = np.random.default_rng(0)
+    old, new = _mission(10, north=56.0), _mission(64, altitude=77.0)
+    faults = LinkFaults(loss=0.05, duplication=0.05, reordering=0.05, delay_s=0.02, jitter_s=0.02)
+    outcomes: Counter[str] = Counter()
+    profiles = ("px4", "ardupilot", "mavsdk")
+    for seed in range(CUTS):
+        server = _server(profiles[seed % 3])
+        server.lists[0] = _stored(old)
+        talk = Conversation(server, BadLink(faults, 2 * seed), BadLink(faults, 2 * seed + 1))
+        talk.now = 60.0
+        finished = talk.run(_transfer(new, server), until=talk.now + rng.uniform(0.0, 5.0))
+        talk.settle(60.0)
+        held = _places(server.lists[0])
+        if held == _places(old.items):
+            outcomes["failed_old_held" if finished else "old_intact"] += 1
+        elif held == _places(new.items):
+            outcomes["new_whole"] += 1
+        else:
+            outcomes["mixed"] += 1
+    return BenchRow(
+        name="old_mission_intact_after_cut",
+        unit="uploads cut that left a mission neither old nor new",
+        ours=outcomes["mixed"],
+        details={"cuts": CUTS, **dict(outcomes), "profiles": profiles},
+    )
+
+
+# -- hostile bytes -----------------------------------------------------------------------------
+
+
+class _Fuzzer:
+    """Makes frames that are no messages, and messages that are none of our business."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._codec = Codec(200, 200)
+        self._seeds = [self._codec.encode(m) for m in self._messages()]
+
+    @staticmethod
+    def _messages() -> Iterator[Message]:
+        for seq in range(4):
+            yield item_message(MissionItem.at(16, 57.0, -4.0, 40.0), seq, 0, _VEHICLE)
+            yield mav.MAVLink_mission_request_int_message(245, 190, seq, 0)
+        yield mav.MAVLink_mission_count_message(1, 1, 64, 0)
+        yield mav.MAVLink_mission_ack_message(245, 190, 0, 0)
+        yield mav.MAVLink_mission_clear_all_message(1, 1, 255)
+        yield mav.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+        yield mav.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)
+
+    def noise(self) -> bytes:
+        """Return random bytes that begin like a frame half of the time."""
+        data = self._rng.bytes(int(self._rng.integers(1, 120)))
+        return b"\xfd" + data if self._rng.random() < 0.5 else data
+
+    def mutated(self) -> bytes:
+        """Return a real frame with some bytes changed, cut off or put in."""
+        frame = bytearray(self._seeds[int(self._rng.integers(len(self._seeds)))])
+        for _ in range(int(self._rng.integers(1, 6))):
+            at = int(self._rng.integers(len(frame)))
+            frame[at] ^= int(self._rng.integers(1, 256))
+        kind = self._rng.random()
+        if kind < 0.2:
+            del frame[int(self._rng.integers(1, len(frame))) :]
+        elif kind < 0.3:
+            frame[5:5] = self._rng.bytes(3)
+        return bytes(frame)
+
+    def foreign(self) -> bytes:
+        """Return a sound frame with random content, from a stranger to a stranger."""
+        rng = self._rng
+        kinds = (
+            mav.MAVLink_mission_count_message(77, 7, int(rng.integers(65536)), 0),
+            mav.MAVLink_mission_ack_message(77, 7, int(rng.integers(20)), int(rng.integers(256))),
+            mav.MAVLink_mission_clear_all_message(77, 7, 255),
+            mav.MAVLink_command_long_message(77, 7, int(rng.integers(65536)), 0, *rng.random(7)),
+            mav.MAVLink_mission_request_int_message(77, 7, int(rng.integers(65536)), 0),
+        )
+        return self._codec.encode(kinds[int(rng.integers(len(kinds)))])
+
+
+def _resident_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _fuzz_row() -> BenchRow:
+    from wisar_planner.pdm.geodesy import GeoOrigin
+    from wisar_sim.autopilot.autopilot import Autopilot
+    from wisar_sim.autopilot.profile import PROFILES
+
+    autopilot = Autopilot(PROFILES["px4"], GeoOrigin(57.0, -4.0))
+    autopilot.tick(0.0)
+    autopilot.missions.lists[0] = _stored(_mission(64))
+    session = Session(Address(245, 190), "fuzz")
+    ground, vehicle = Codec(245, 190), Codec(1, 1)
+    for message in autopilot.tick(5.0):
+        for heard in ground.decode(vehicle.encode(message))[0]:
+            session.receive(heard, 5.0)
+    upload = Upload(
+        _mission(64).items,
+        MissionKind.MISSION,
+        _VEHICLE,
+        dialect_of(mav.MAV_AUTOPILOT_PX4),
+        link=LinkEstimates().sending,
+    )
+    session.begin(upload, 5.0)
+
+    def state() -> tuple[object, ...]:
+        flying = autopilot.vehicle
+        return (
+            copy.copy(autopilot.missions.lists),
+            flying.armed,
+            flying.mode,
+            flying.current,
+            session.vehicle,
+            upload.items_sent,
+            upload.end,
+        )
+
+    fuzzer = _Fuzzer(0)
+    makers = (fuzzer.noise, fuzzer.mutated, fuzzer.mutated, fuzzer.mutated, fuzzer.foreign)
+    before, changed, answered = state(), 0, 0
+    sound: Counter[str] = Counter()
+    warmed_up = 0.0
+    began = time.perf_counter()
+    for number in range(FRAMES):
+        if number == FRAMES // 10:
+            warmed_up = _resident_mib()
+        make = makers[number % len(makers)]
+        frame = make()
+        for codec, receive in ((vehicle, autopilot.receive), (ground, session.receive)):
+            for message in codec.decode(frame)[0]:
+                sound[make.__name__] += 1
+                answered += len(receive(message, 6.0))
+        if number % 1000 == 0 and state() != before:
+            changed += 1
+            before = state()
+    seconds = time.perf_counter() - began
+    changed += state() != before
+    return BenchRow(
+        name="fuzz_frames",
+        unit="state changes",
+        ours=changed,
+        details={
+            "frames": FRAMES,
+            "ends": "bridge and autopilot, each frame to both",
+            "answered": answered,
+            "sound_but_foreign": sound["foreign"],
+            "checksum_right_by_chance": sound["mutated"] + sound["noise"],
+            "frames_per_s": FRAMES / seconds,
+            "memory_growth_mib": _resident_mib() - warmed_up,
+            "crashes": 0,
+        },
+    )
+
+
+# -- speed -------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _sim_autopilot(profile: str, *options: str) -> Iterator[int]:
+    """Start a simulated autopilot on a free port of 127.0.0.1; yield the port."""
+    command = [sys.executable, "-m", "wisar_sim.autopilot", "--profile", profile]
+    command += ["--connection", "udpin:127.0.0.1:0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            if not select.select([process.stdout], [], [], 120.0)[0]:
+                raise TimeoutError("sim_autopilot does not start")
+            yield int(process.stdout.readline().rsplit(":", 1)[1])
+        finally:
+            process.terminate()
+
+
+def _has_mavsdk() -> bool:
+    try:
+        import mavsdk  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def _mavsdk_client(port: int) -> Iterator[Callable[[Mission], bool] | None]:
+    """Connect MAVSDK's client; yield a function that uploads, or None if it finds no vehicle."""
+    import mavsdk
+    from mavsdk.logging import log_subscribe
+    from mavsdk.plugins import mission_raw
+
+    log_subscribe(lambda *_: True)  # its warnings about the bad link are no news here
+    kind = mavsdk.ComponentType.GROUND_STATION
+    with mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind)) as sdk:
+        sdk.add_any_connection(f"udpout://127.0.0.1:{port}")
+        system = sdk.first_autopilot(30.0)
+        if system is None:
+            yield None
+            return
+        raw = mission_raw.MissionRaw(system)
+
+        def upload(mission: Mission) -> bool:
+            items = [
+                mission_raw.MissionItem(
+                    n, i.frame, i.command, int(n == 0), 1, *i.params, i.x, i.y, i.z, 0
+                )
+                for n, i in enumerate(mission.items)
+            ]
+            try:
+                raw.upload_mission(items)
+            except mission_raw.MissionRawError:
+                return False
+            return True
+
+        yield upload
+
+
+class _BareClient:
+    """Our library without thread and read-back, to time the upload alone."""
+
+    def __init__(self, port: int) -> None:
+        self._link = Link(f"udpout:127.0.0.1:{port}", Codec(246, 190))
+        self._session = Session(Address(246, 190), "bench")
+        self._links = LinkEstimates()
+
+    def wait(self) -> None:
+        """Wait for the vehicle's heartbeat."""
+        deadline = time.monotonic() + 60.0
+        while self._session.vehicle is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError("no heartbeat")
+            self._turn(0.1)
+
+    def _turn(self, timeout: float) -> None:
+        self._link.open()
+        for message in self._session.tick(time.monotonic()):
+            self._link.send(message)
+        for message in self._link.receive(timeout):
+            for answer in self._session.receive(message, time.monotonic()):
+                self._link.send(answer)
+
+    def upload(self, mission: Mission) -> float:
+        """Upload and return the seconds until the acknowledgement."""
+        exchange = Upload(
+            mission.items,
+            MissionKind.MISSION,
+            _VEHICLE,
+            dialect_of(mav.MAV_AUTOPILOT_PX4),
+            link=self._links.sending,
+        )
+        began = time.perf_counter()
+        for message in self._session.begin(exchange, time.monotonic()):
+            self._link.send(message)
+        while not exchange.done:
+            self._turn(max(self._session.deadline - time.monotonic(), 0.0))
+        if exchange.end is not UploadEnd.ACCEPTED:
+            raise RuntimeError(f"upload on a clean link: {exchange.end}")
+        return time.perf_counter() - began
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._link.close()
+
+
+def _speed_row() -> BenchRow:
+    """Time the same upload by three clients in turn, each on an autopilot of its own."""
+    mission = _mission(64)
+    alone, verified, theirs = [], [], []
+    with contextlib.ExitStack() as stack:
+        ports = [stack.enter_context(_sim_autopilot("px4")) for _ in range(3)]
+        bare = _BareClient(ports[0])
+        stack.callback(bare.close)
+        bare.wait()
+        client = stack.enter_context(MissionClient(f"udpout:127.0.0.1:{ports[1]}"))
+        client.wait_heartbeat(60.0)
+        peer = stack.enter_context(_mavsdk_client(ports[2])) if _has_mavsdk() else None
+        for _ in range(_CLEAN_REPETITIONS):
+            alone.append(bare.upload(mission))
+            result = client.upload(mission, kinds=_ONLY_MISSION)
+            assert result.verified, result.error
+            verified.append(result.elapsed_s)
+            if peer is not None:
+                began = time.perf_counter()
+                assert peer(mission)
+                theirs.append(time.perf_counter() - began)
+    ours = statistics.median(alone)
+    peer_s = statistics.median(theirs) if theirs else None
+    return BenchRow(
+        name="upload_64_items_clean_loopback",
+        unit="s",
+        ours=ours,
+        peer=peer_s,
+        peer_name=f"MAVSDK {version('mavsdk')} (C++), not verified" if theirs else None,
+        ratio=peer_s / ours if peer_s else None,
+        details={
+            "repetitions": _CLEAN_REPETITIONS,
+            "ours_with_read_back_s": statistics.median(verified),
+            "what": "until the acknowledgement, on the simulated px4",
+        },
+    )
+
+
+ROWS: dict[str, Callable[[], BenchRow]] = {
+    **{
+        f"mission_upload_loss_{percent}": lambda percent=percent: _loss_row(percent)  # type: ignore[misc]
+        for percent in (0, 10, 30, 50)
+    },
+    "old_mission_intact_after_cut": _cut_row,
+    "fuzz_frames": _fuzz_row,
+    "upload_64_items_clean_loopback": _speed_row,
+}

@@ -1,0 +1,415 @@
+"""The one object that a node or a script needs: a vehicle at the other end of a connection."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, InvalidStateError
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.mavlink.codec import Codec, Counters, Message, read_key_file
+from wisar_planner.mavlink.command import Command, RequestEnd
+from wisar_planner.mavlink.download import Download, DownloadEnd
+from wisar_planner.mavlink.exchange import Address, Exchange
+from wisar_planner.mavlink.link import Link
+from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
+from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
+from wisar_planner.mavlink.modes import Intent, commands_for
+from wisar_planner.mavlink.session import LinkStatus, Session
+from wisar_planner.mavlink.transfer import (
+    UPLOAD_ORDER,
+    MissionTransfer,
+    UploadCode,
+    UploadProgress,
+    UploadResult,
+)
+from wisar_planner.mavlink.vehicle import VehicleState
+from wisar_planner.mavlink.wording import command_result, mission_result
+
+_LONGEST_WAIT_S = 0.25
+_log = logging.getLogger(__name__)
+
+_E = TypeVar("_E", bound=Exchange)
+
+__all__ = ["LinkError", "LinkStatus", "MissionClient"]
+
+
+def _guarded(callback: Callable[..., None]) -> Callable[..., None]:
+    """Keep a mistake in somebody's callback from ending the conversation with the vehicle."""
+
+    def call(*args: object) -> None:
+        try:
+            callback(*args)
+        except Exception:
+            _log.exception("a callback of the MAVLink client failed")
+
+    return call
+
+
+class LinkError(ConnectionError):
+    """The vehicle did not answer, or refused; the message says what to do."""
+
+
+@dataclass
+class _Job:
+    """An exchange in progress, and who waits for it."""
+
+    exchange: Exchange
+    finished: Future[None]
+    should_cancel: Callable[[], bool]
+
+
+class MissionClient:
+    """A ground station's end of the conversation with one vehicle.
+
+    One thread does all input and output; the methods may be called from any thread, and wait for
+    their result. Exchanges follow one another; they never overlap. Nothing is ever armed, started
+    or flown unless `arm`, `start_mission`, `pause` or `return_to_launch` is called.
+
+    Parameters
+    ----------
+    connection
+        pymavlink connection string, see `transport.parse_connection`.
+    system, component
+        Own ids.
+    target_system, target_component
+        The vehicle's ids; None takes the first autopilot heard.
+    key_file
+        File with the signing key, see `codec.read_key_file`; None neither signs nor checks.
+    policy
+        Timeouts and retries.
+    on_link
+        Called with a `LinkStatus` when the vehicle appears or is lost.
+    on_vehicle
+        Called with a `VehicleState` on every position and mission progress message.
+    on_text
+        Called with (severity, text) for every status text of the vehicle.
+
+    Callbacks run in the input-output thread and must return quickly.
+
+    Raises
+    ------
+    InvalidInput
+        If the connection string, an id or the key file cannot be right.
+
+    Examples
+    --------
+    >>> with MissionClient("udpin:127.0.0.1:14550") as client:  # doctest: +SKIP
+    ...     client.wait_heartbeat(10.0)
+    ...     result = client.upload(mission)
+    ...     print(result.verified, result.error)
+    """
+
+    def __init__(
+        self,
+        connection: str,
+        *,
+        system: int = 245,
+        component: int = mav.MAV_COMP_ID_MISSIONPLANNER,
+        target_system: int | None = None,
+        target_component: int | None = None,
+        key_file: Path | None = None,
+        policy: RetryPolicy | None = None,
+        on_link: Callable[[LinkStatus], None] = lambda _: None,
+        on_vehicle: Callable[[VehicleState], None] = lambda _: None,
+        on_text: Callable[[int, str], None] = lambda *_: None,
+    ) -> None:
+        key = None if key_file is None else read_key_file(key_file)
+        self._links = LinkEstimates(policy)
+        self._heard = threading.Condition()
+        self._on_link = _guarded(on_link)
+        self._session = Session(
+            Address(system, component),
+            connection,
+            target_system=target_system,
+            target_component=target_component,
+            on_link=self._link_changed,
+            on_vehicle=_guarded(on_vehicle),
+            on_text=_guarded(on_text),
+        )
+        self._connection = Link(
+            connection,
+            Codec(system, component, key=key),
+            on_state=lambda opened, text: None if opened else self._session.connection_lost(text),
+        )
+        self._jobs: deque[_Job] = deque()
+        self._uploading = threading.Lock()
+        self._closing = False
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
+        self._thread.start()
+
+    # -- what is known -----------------------------------------------------------------------
+
+    @property
+    def vehicle(self) -> VehicleState | None:
+        """Latest snapshot of the vehicle; None before its first heartbeat."""
+        return self._session.vehicle
+
+    @property
+    def link_status(self) -> LinkStatus:
+        """Whether the vehicle can be talked to now."""
+        return self._session.status
+
+    @property
+    def counters(self) -> Counters:
+        """What became of the bytes received (dropped, unsigned, badly signed, ...)."""
+        return replace(self._connection.counters)
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """Typical round-trip time in seconds; None before the first exchange."""
+        return self._links.asking.round_trip
+
+    def wait_heartbeat(self, timeout: float = 10.0) -> VehicleState:
+        """Wait until the vehicle has been heard.
+
+        Raises
+        ------
+        LinkError
+            If no heartbeat comes within `timeout` seconds.
+        """
+        session = self._session
+        with self._heard:
+            if not self._heard.wait_for(lambda: session.status.connected or self._closing, timeout):
+                raise LinkError(
+                    f"no heartbeat on {self._connection.connection} within {timeout:g} s; check "
+                    "the connection string, the vehicle's power and, if a key file is used, its key"
+                )
+        if session.vehicle is None:
+            raise LinkError("the client was closed")
+        return session.vehicle
+
+    # -- missions ------------------------------------------------------------------------------
+
+    def upload(
+        self,
+        mission: Mission,
+        *,
+        on_progress: Callable[[UploadProgress], None] = lambda _: None,
+        should_cancel: Callable[[], bool] = lambda: False,
+        kinds: Sequence[MissionKind] = UPLOAD_ORDER,
+    ) -> UploadResult:
+        """Put a mission on the vehicle, read it back and compare. Never raises for the link.
+
+        Parameters
+        ----------
+        mission
+            What to put there; empty fence and rally lists clear the old ones.
+        on_progress
+            Called on every item.
+        should_cancel
+            Asked a few times per second; True ends the upload politely.
+        kinds
+            Lists to touch; the others stay as they are.
+
+        Returns
+        -------
+        UploadResult
+            Only `verified` means that the new mission counts.
+        """
+        total = sum(len(mission.of_kind(k)) for k in kinds)
+        if not self._uploading.acquire(blocking=False):
+            return UploadResult(
+                UploadCode.BUSY,
+                "another upload is in progress; wait for it or cancel it",
+                items_total=total,
+            )
+        try:
+            state, status = self._session.vehicle, self._session.status
+            if state is None or not status.connected:
+                return UploadResult(
+                    UploadCode.NO_LINK,
+                    f"no vehicle to talk to: {status.text}",
+                    items_total=total,
+                )
+            transfer = MissionTransfer(
+                mission,
+                self._target(state),
+                state.dialect,
+                kinds=kinds,
+                links=self._links,
+                on_progress=_guarded(on_progress),
+            )
+            self._exchange(transfer, should_cancel)
+            if transfer.result is None:
+                return UploadResult(
+                    UploadCode.CANCELLED, "the connection was closed", items_total=total
+                )
+            return transfer.result
+        finally:
+            self._uploading.release()
+
+    def download(
+        self,
+        kind: MissionKind = MissionKind.MISSION,
+        *,
+        on_progress: Callable[[int], None] = lambda _: None,
+        should_cancel: Callable[[], bool] = lambda: False,
+    ) -> tuple[MissionItem, ...]:
+        """Read one of the vehicle's lists (on ArduPilot without the home item).
+
+        Raises
+        ------
+        LinkError
+            If the vehicle does not answer or refuses, or if the download is cancelled.
+        """
+        state = self._require_vehicle()
+        download = self._exchange(
+            Download(
+                kind,
+                self._target(state),
+                link=self._links.asking,
+                on_progress=_guarded(on_progress),
+            ),
+            should_cancel,
+        )
+        if download.end is not DownloadEnd.COMPLETE:
+            words = download.end.value if download.end is not None else "the client was closed"
+            if download.result is not None:
+                words = mission_result(download.result)
+            raise LinkError(f"reading the {kind.name.lower()} list failed: {words}")
+        return state.dialect.from_wire(kind, download.items)
+
+    # -- explicit requests to the vehicle ------------------------------------------------------
+
+    def arm(self) -> None:
+        """Arm the motors. Raises LinkError if the vehicle refuses or does not answer."""
+        self._request("ARM", Intent.ARM)
+
+    def disarm(self) -> None:
+        """Stop the motors; vehicles refuse it in the air."""
+        self._request("DISARM", Intent.DISARM)
+
+    def start_mission(self) -> None:
+        """Fly the mission from its first item; the vehicle must be armed."""
+        self._request("start of the mission", Intent.START)
+
+    def pause(self) -> None:
+        """Stop and hold the position."""
+        self._request("pause", Intent.PAUSE)
+
+    def resume(self) -> None:
+        """Go on with the mission from where it was paused."""
+        self._request("resume", Intent.RESUME)
+
+    def return_to_launch(self) -> None:
+        """Fly home and land."""
+        self._request("return to launch", Intent.RETURN)
+
+    def _request(self, words: str, intent: Intent) -> None:
+        state = self._require_vehicle()
+        for code, params in commands_for(intent, state.autopilot, state.vehicle_type):
+            command = self._exchange(
+                Command(code, params, self._target(state), link=self._links.asking)
+            )
+            if command.end is RequestEnd.REFUSED and command.result is not None:
+                text = self._session.vehicle.text if self._session.vehicle is not None else ""
+                said = f" (the vehicle says: {text})" if text else ""
+                raise LinkError(f"{words}: {command_result(command.result)}{said}")
+            if command.end is not RequestEnd.ACCEPTED:
+                raise LinkError(f"{words}: the vehicle does not answer; check the link")
+
+    # -- life ----------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """End the thread and close the connection; a waiting call returns as cancelled."""
+        if self._closing:
+            return
+        self._closing = True
+        self._wake()
+        self._thread.join()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def __enter__(self) -> MissionClient:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _require_vehicle(self) -> VehicleState:
+        vehicle, status = self._session.vehicle, self._session.status
+        if vehicle is None or not status.connected:
+            raise LinkError(f"no vehicle to talk to: {status.text}")
+        return vehicle
+
+    @staticmethod
+    def _target(state: VehicleState) -> Address:
+        return Address(state.system, state.component)
+
+    def _exchange(self, exchange: _E, should_cancel: Callable[[], bool] = lambda: False) -> _E:
+        """Run an exchange in the input-output thread and wait for its end."""
+        job = _Job(exchange, Future(), should_cancel)
+        self._jobs.append(job)
+        self._wake()
+        if self._closing:
+            job.finished.cancel()
+        with contextlib.suppress(Exception):
+            job.finished.result()
+        return exchange
+
+    def _wake(self) -> None:
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.write(self._wake_write, b"\0")
+
+    def _run(self) -> None:
+        session, connection = self._session, self._connection
+        job: _Job | None = None
+        while not self._closing:
+            now = time.monotonic()
+            connection.open()
+            if job is None and self._jobs:
+                job = self._jobs.popleft()
+                self._send(session.begin(job.exchange, now))
+            if job is not None and job.should_cancel():
+                self._send(session.cancel(now))
+            self._send(session.tick(now))
+            if job is not None and job.exchange.done:
+                job.finished.set_result(None)
+                job = session.exchange = None
+                continue
+            wait = min(max(session.deadline - now, 0.0), _LONGEST_WAIT_S)
+            for message in connection.receive(wait, self._wake_read):
+                self._send(session.receive(message, time.monotonic()))
+            self._drain_wake()
+        self._send(session.cancel(time.monotonic()))
+        for left in (job, *self._jobs):
+            if left is not None:
+                with contextlib.suppress(InvalidStateError):
+                    left.finished.set_result(None)
+        connection.close()
+        with self._heard:
+            self._heard.notify_all()
+
+    def _drain_wake(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 4096)
+
+    def _send(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._connection.send(message)
+
+    def _link_changed(self, status: LinkStatus) -> None:
+        with self._heard:
+            self._heard.notify_all()
+        self._on_link(status)

@@ -1,0 +1,147 @@
+"""What the vehicle has really seen, from the positions that it reports."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wisar_planner.errors import positive
+from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.vehicle import VehicleState
+from wisar_planner.pdm import ProbabilityMap
+from wisar_planner.pdm.geodesy import LocalFrame
+from wisar_planner.search import SearchPath, SeenArea
+
+
+@dataclass(frozen=True)
+class FlightProgress:
+    """How far a flight has come.
+
+    Parameters
+    ----------
+    flying
+        Whether the search part of the mission is being flown.
+    completed
+        Whether the last item has been reached.
+    waypoints_reached, waypoints_total
+        Waypoints of the search.
+    distance
+        Metres flown since the first waypoint.
+    probability
+        Probability that the real track has seen so far.
+    planned_probability
+        What the plan promised at this distance.
+    """
+
+    flying: bool
+    completed: bool
+    waypoints_reached: int
+    waypoints_total: int
+    distance: float
+    probability: float
+    planned_probability: float
+
+
+class FlightTracker:
+    """Adds up what the vehicle sees between the first and the last waypoint.
+
+    The probability comes from the same exact union of swaths as the plan's. Two positions are
+    joined by a straight line if they were reported within `max_gap_s` of each other; where the
+    vehicle was during a longer silence is not known, and nothing is counted.
+
+    Parameters
+    ----------
+    pdm
+        Where the person may be.
+    plan
+        What was to be flown, in metres of `frame`.
+    frame
+        Local frame of map and plan.
+    mission
+        The mission made of the plan; tells which items are its waypoints.
+    max_gap_s
+        Longest silence in seconds across which the track is joined.
+    """
+
+    # Shorter steps than this share of the swath radius add work but nothing to see.
+    _STEP_IN_SWATH_RADII = 0.2
+    _PLANNED_SAMPLES = 400
+
+    def __init__(
+        self,
+        pdm: ProbabilityMap,
+        plan: SearchPath,
+        frame: LocalFrame,
+        mission: Mission,
+        *,
+        max_gap_s: float = 3.0,
+    ) -> None:
+        self._seen = SeenArea(pdm, plan.swath_radius)
+        self._frame = frame
+        self._max_gap_s = positive(max_gap_s, "max_gap_s")
+        numbers = [n for n, item in enumerate(mission.items) if item.is_waypoint]
+        self._waypoints = numbers
+        self._last_item = len(mission.items) - 1
+        self._planned_at = np.linspace(0.0, plan.length, self._PLANNED_SAMPLES)
+        self._planned = plan.probability_over_distance(pdm, self._planned_at)
+        self._last: NDArray[np.float64] | None = None
+        self._last_at = -math.inf
+        self._distance = 0.0
+        self._reached = -1
+        self._flying = False
+
+    def update(self, state: VehicleState, now: float) -> FlightProgress:
+        """Take in a snapshot of the vehicle.
+
+        Parameters
+        ----------
+        state
+            From `MissionClient`.
+        now
+            Monotonic time in seconds at which it was heard.
+        """
+        if state.reached_item is not None:
+            self._reached = max(self._reached, state.reached_item)
+        self._flying = state.armed and self._on_search(state.current_item)
+        if self._flying and state.latitude is not None and state.longitude is not None:
+            point = self._frame.to_local([state.latitude], [state.longitude])[0]
+            self._advance(point, now)
+        else:
+            self._last = None
+        return self.progress
+
+    def _on_search(self, current: int | None) -> bool:
+        """Whether the vehicle is between the first and the last waypoint."""
+        if current is None or not self._waypoints:
+            return False
+        return self._waypoints[0] < current <= self._waypoints[-1]
+
+    def _advance(self, point: NDArray[np.float64], now: float) -> None:
+        if self._last is None or now - self._last_at > self._max_gap_s:
+            self._seen.add(point, point)
+            self._last, self._last_at = point, now
+            return
+        self._last_at = now
+        step = float(math.hypot(*(point - self._last)))
+        if step < self._STEP_IN_SWATH_RADII * self._seen.swath_radius:
+            return
+        self._seen.add(self._last, point)
+        self._distance += step
+        self._last = point
+
+    @property
+    def progress(self) -> FlightProgress:
+        """How far the flight has come."""
+        reached = sum(number <= self._reached for number in self._waypoints)
+        return FlightProgress(
+            flying=self._flying,
+            completed=self._reached >= self._last_item,
+            waypoints_reached=reached,
+            waypoints_total=len(self._waypoints),
+            distance=self._distance,
+            probability=self._seen.probability,
+            planned_probability=float(np.interp(self._distance, self._planned_at, self._planned)),
+        )

@@ -1,0 +1,465 @@
+"""Putting a whole mission on the autopilot: send, read back, compare, and say what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.mavlink.codec import Message
+from wisar_planner.mavlink.command import Clear, RequestEnd
+from wisar_planner.mavlink.dialect import Dialect
+from wisar_planner.mavlink.download import Download, DownloadEnd
+from wisar_planner.mavlink.exchange import NEVER, Address
+from wisar_planner.mavlink.link_estimate import LinkEstimates
+from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
+from wisar_planner.mavlink.upload import Upload, UploadEnd
+from wisar_planner.mavlink.wording import is_passing, mission_result
+
+UPLOAD_ORDER = (MissionKind.FENCE, MissionKind.RALLY, MissionKind.MISSION)
+"""The fence comes first: PX4 checks a mission against the fence that it holds by then."""
+
+_LIST_NAMES = {
+    MissionKind.MISSION: "mission",
+    MissionKind.FENCE: "fence",
+    MissionKind.RALLY: "rally points",
+}
+
+
+class UploadCode(IntEnum):
+    """Numbered outcomes of an upload; the numbers are those of the UploadMission action."""
+
+    VERIFIED = 0
+    REFUSED_BEFORE = 1
+    NO_LINK = 2
+    REFUSED = 3
+    INCOMPLETE = 4
+    DIFFERENT = 5
+    UNVERIFIED = 6
+    CANCELLED = 7
+    BUSY = 8
+
+
+@dataclass(frozen=True)
+class UploadProgress:
+    """How far an upload has come.
+
+    Parameters
+    ----------
+    phase
+        What is happening now, in words.
+    items_sent
+        Items that the autopilot has asked for in this attempt, over all lists.
+    items_verified
+        Items read back so far, over all lists.
+    items_total
+        Items of all lists.
+    attempt
+        Number of the attempt at the present list, from 1.
+    """
+
+    phase: str
+    items_sent: int
+    items_verified: int
+    items_total: int
+    attempt: int
+
+
+@dataclass(frozen=True)
+class UploadResult:
+    """What came of an upload.
+
+    Parameters
+    ----------
+    code
+        Outcome as a number; only VERIFIED means that the new mission counts.
+    error
+        Outcome in words with what to do, empty if verified.
+    differences
+        One sentence per item that read back differently.
+    items_sent, items_total
+        Items sent (over all lists) and wanted.
+    attempts
+        Times that sending a list was begun, over all lists.
+    elapsed_s
+        Duration in seconds.
+    """
+
+    code: UploadCode
+    error: str = ""
+    differences: tuple[str, ...] = ()
+    items_sent: int = 0
+    items_total: int = 0
+    attempts: int = 0
+    elapsed_s: float = 0.0
+
+    @property
+    def verified(self) -> bool:
+        """Whether the autopilot holds exactly what was sent."""
+        return self.code is UploadCode.VERIFIED
+
+
+class _Phase(Enum):
+    SENDING = "sending"
+    READING = "reading back"
+    PAUSING = "waiting to try again"
+    DONE = "done"
+
+
+class ListTransfer:
+    """State machine that puts one list on the autopilot and proves it by reading it back.
+
+    An acknowledgement alone proves nothing, and a lost one nothing either: what counts is the
+    comparison. A first read-back that differs is repeated before it is believed, as it may have
+    caught late messages of an earlier transfer.
+
+    Parameters
+    ----------
+    items
+        The list as people mean it; an empty one clears what is there.
+    kind, target, dialect, links
+        As for `Upload`.
+    on_progress
+        Called with (phase, items sent, items read back, attempt).
+    """
+
+    _MOST_ATTEMPTS = 8
+    _MOST_REFUSALS = 5
+    _MOST_READS = 10
+    _PAUSE_S = 1.0
+    _LONGEST_PAUSE_S = 3.0
+
+    def __init__(
+        self,
+        items: Sequence[MissionItem],
+        kind: MissionKind,
+        target: Address,
+        dialect: Dialect,
+        *,
+        links: LinkEstimates,
+        on_progress: Callable[[str, int, int, int], None] = lambda *_: None,
+    ) -> None:
+        self._wanted = tuple(items)
+        self._kind = kind
+        self._target = target
+        self._dialect = dialect
+        self._links = links
+        self._on_progress = on_progress
+        self._phase = _Phase.PAUSING
+        self._sender: Upload | Clear | None = None
+        self._reader: Download | None = None
+        self._pause_until = NEVER
+        self._after_pause: Callable[[float], list[Message]] = self.start
+        self._reads = 0
+        self._differed = False
+        self._failure: tuple[UploadCode, str] | None = None
+        self.attempts = 0
+        self.items_sent = 0
+        self.code: UploadCode | None = None
+        self.error = ""
+        self.differences: tuple[str, ...] = ()
+
+    @property
+    def done(self) -> bool:
+        """Whether the transfer has ended; `code` and `error` then say how."""
+        return self._phase is _Phase.DONE
+
+    @property
+    def _active(self) -> Upload | Clear | Download | None:
+        if self._phase is _Phase.SENDING:
+            return self._sender
+        return self._reader if self._phase is _Phase.READING else None
+
+    @property
+    def deadline(self) -> float:
+        """When `on_time` wants to be called next."""
+        active = self._active
+        return active.deadline if active is not None else self._pause_until
+
+    def start(self, now: float) -> list[Message]:
+        """Begin the first attempt."""
+        self.attempts += 1
+        self._reads = 0
+        self._differed = False
+        self._failure = None
+        self._phase = _Phase.SENDING
+        self._pause_until = NEVER
+        if self._wanted:
+            self._sender = Upload(
+                self._dialect.to_wire(self._kind, self._wanted),
+                self._kind,
+                self._target,
+                self._dialect,
+                link=self._links.sending,
+                on_progress=self._sent,
+            )
+        else:
+            self._sender = Clear(self._kind, self._target, link=self._links.asking)
+        return self._sender.start(now)
+
+    def _sent(self, count: int) -> None:
+        self.items_sent = min(count, len(self._wanted))
+        self._report(0)
+
+    def _report(self, read: int) -> None:
+        self._on_progress(self._phase.value, self.items_sent, read, self.attempts)
+
+    def _read(self, now: float) -> list[Message]:
+        self._reads += 1
+        self._phase = _Phase.READING
+        self._reader = Download(
+            self._kind,
+            self._target,
+            link=self._links.asking,
+            on_progress=lambda count: self._report(min(count, len(self._wanted))),
+        )
+        return self._reader.start(now)
+
+    def on_message(self, message: Message, now: float) -> list[Message]:
+        """Pass a message to the step in progress."""
+        active = self._active
+        if active is None:
+            return []
+        return active.on_message(message, now) + self._go_on(now)
+
+    def on_time(self, now: float) -> list[Message]:
+        """Let time pass."""
+        active = self._active
+        if active is not None:
+            return active.on_time(now) + self._go_on(now)
+        if self._phase is _Phase.PAUSING and now >= self._pause_until:
+            return self._after_pause(now)
+        return []
+
+    def cancel(self, now: float) -> list[Message]:
+        """End early. The old list stays, unless all items had been sent already."""
+        if self.done:
+            return []
+        sent_all = self._phase is _Phase.READING and self._failure is None
+        active = self._active
+        out = active.cancel(now) if active is not None else []
+        self._finish(
+            UploadCode.CANCELLED,
+            "cancelled after everything was sent: the autopilot may hold the new list, unverified"
+            if sent_all
+            else "cancelled: the old list counts",
+        )
+        return out
+
+    def _go_on(self, now: float) -> list[Message]:
+        if self._phase is _Phase.SENDING and self._sender is not None and self._sender.done:
+            return self._after_sending(now)
+        if self._phase is _Phase.READING and self._reader is not None and self._reader.done:
+            return self._after_reading(self._reader, now)
+        return []
+
+    def _after_sending(self, now: float) -> list[Message]:
+        sender = self._sender
+        assert sender is not None
+        if sender.end in (UploadEnd.ACCEPTED, UploadEnd.UNACKNOWLEDGED, RequestEnd.ACCEPTED):
+            return self._read(now)
+        if sender.end in (UploadEnd.SILENT, RequestEnd.SILENT):
+            self._finish(
+                UploadCode.NO_LINK,
+                "the autopilot does not answer; check the link, then read the mission back",
+            )
+            return []
+        if sender.end is RequestEnd.REFUSED and sender.result == mav.MAV_MISSION_UNSUPPORTED:
+            # An autopilot that does not know such a list holds none, which is what was wanted.
+            self._finish(UploadCode.VERIFIED, "")
+            return []
+        if sender.end in (UploadEnd.REFUSED, RequestEnd.REFUSED):
+            result = sender.result if sender.result is not None else -1
+            return self._failed(
+                UploadCode.REFUSED, mission_result(result), may_pass=is_passing(result), now=now
+            )
+        return self._failed(
+            UploadCode.INCOMPLETE,
+            f"the autopilot stopped asking after {self.items_sent} of {len(self._wanted)} items; "
+            "move closer or turn the antenna, then try again",
+            may_pass=True,
+            now=now,
+        )
+
+    def _failed(self, code: UploadCode, error: str, *, may_pass: bool, now: float) -> list[Message]:
+        """Try again where that can help; otherwise find out what the autopilot holds now."""
+        most = self._MOST_REFUSALS if code is UploadCode.REFUSED else self._MOST_ATTEMPTS
+        if may_pass and self.attempts < most:
+            return self._pause(self.start, now)
+        self._failure = (code, error)
+        return self._read(now)
+
+    def _pause(self, then: Callable[[float], list[Message]], now: float) -> list[Message]:
+        self._phase = _Phase.PAUSING
+        self._after_pause = then
+        self._pause_until = now + min(self._PAUSE_S * self.attempts, self._LONGEST_PAUSE_S)
+        return []
+
+    def _after_reading(self, reader: Download, now: float) -> list[Message]:
+        if reader.end is not DownloadEnd.COMPLETE:
+            # An autopilot that still waits for the last item reads nothing out until it gives up.
+            if reader.end is DownloadEnd.REFUSED and self._reads < self._MOST_READS:
+                return self._pause(self._read, now)
+            why = "" if reader.result is None else ": " + mission_result(reader.result)
+            code, error = self._failure or (UploadCode.UNVERIFIED, "all items were sent")
+            self._finish(code, f"{error}; what the autopilot holds now could not be read back{why}")
+            return []
+        found = self._dialect.from_wire(self._kind, reader.items)
+        differences = self._dialect.differences(self._kind, self._wanted, found)
+        if not differences:
+            self._finish(UploadCode.VERIFIED, "")
+            return []
+        if self._failure is not None:
+            code, error = self._failure
+            self._finish(
+                code,
+                f"{error}. The new list is not in force; the autopilot holds {len(found)} items",
+            )
+            return []
+        if not self._differed:
+            self._differed = True
+            return self._read(now)
+        self.differences = differences
+        return self._failed_comparison(differences, now)
+
+    def _failed_comparison(self, differences: tuple[str, ...], now: float) -> list[Message]:
+        sender = self._sender
+        # Without an acknowledgement a difference most likely means that the last item was lost;
+        # after one it means that the autopilot changes what it is given, now and next time.
+        unheard = sender is not None and sender.end is UploadEnd.UNACKNOWLEDGED
+        if self.attempts < (self._MOST_ATTEMPTS if unheard else 2):
+            return self.start(now)
+        self._finish(
+            UploadCode.DIFFERENT,
+            "what the autopilot holds differs from what was sent: "
+            + "; ".join(differences)
+            + ". Do not fly it; upload again",
+        )
+        return []
+
+    def _finish(self, code: UploadCode, error: str) -> None:
+        self.code = code
+        self.error = error
+        if code is UploadCode.VERIFIED:
+            self.differences = ()
+        self._phase = _Phase.DONE
+        self._pause_until = NEVER
+
+
+class MissionTransfer:
+    """State machine that puts fence, rally points and mission on the autopilot, in this order.
+
+    The mission itself is replaced last and as a whole, so that the old one counts until fence
+    and rally points are verified.
+
+    Parameters
+    ----------
+    mission
+        What to put there. An empty fence or rally list clears the old one.
+    kinds
+        Lists to touch; the others stay as they are.
+    target, dialect, links
+        As for `Upload`.
+    on_progress
+        Called on every item.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        target: Address,
+        dialect: Dialect,
+        *,
+        kinds: Sequence[MissionKind] = UPLOAD_ORDER,
+        links: LinkEstimates | None = None,
+        on_progress: Callable[[UploadProgress], None] = lambda _: None,
+    ) -> None:
+        links = links or LinkEstimates()
+        self._on_progress = on_progress
+        self._total = sum(len(mission.of_kind(k)) for k in kinds)
+        self._lists = [
+            (
+                kind,
+                ListTransfer(
+                    mission.of_kind(kind),
+                    kind,
+                    target,
+                    dialect,
+                    links=links,
+                    on_progress=self._progress,
+                ),
+            )
+            for kind in UPLOAD_ORDER
+            if kind in kinds
+        ]
+        self._at = 0
+        self._started_at = 0.0
+        self.result: UploadResult | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether the transfer has ended; `result` then says how."""
+        return self.result is not None
+
+    @property
+    def deadline(self) -> float:
+        """When `on_time` wants to be called next."""
+        return NEVER if self.done else self._lists[self._at][1].deadline
+
+    def _progress(self, phase: str, sent: int, read: int, attempt: int) -> None:
+        before = sum(t.items_sent for _, t in self._lists[: self._at])
+        name = _LIST_NAMES[self._lists[self._at][0]]
+        self._on_progress(
+            UploadProgress(f"{phase} {name}", before + sent, before + read, self._total, attempt)
+        )
+
+    def start(self, now: float) -> list[Message]:
+        """Begin with the first list."""
+        self._started_at = now
+        return self._lists[0][1].start(now)
+
+    def on_message(self, message: Message, now: float) -> list[Message]:
+        """Pass a message to the list in progress."""
+        if self.done:
+            return []
+        return self._lists[self._at][1].on_message(message, now) + self._go_on(now)
+
+    def on_time(self, now: float) -> list[Message]:
+        """Let time pass."""
+        if self.done:
+            return []
+        return self._lists[self._at][1].on_time(now) + self._go_on(now)
+
+    def cancel(self, now: float) -> list[Message]:
+        """End early."""
+        if self.done:
+            return []
+        out = self._lists[self._at][1].cancel(now)
+        self._go_on(now)
+        return out
+
+    def _go_on(self, now: float) -> list[Message]:
+        kind, transfer = self._lists[self._at]
+        if not transfer.done:
+            return []
+        ok = transfer.code is UploadCode.VERIFIED
+        if ok and self._at + 1 < len(self._lists):
+            self._at += 1
+            return self._lists[self._at][1].start(now)
+        error = "" if ok else f"{_LIST_NAMES[kind]}: {transfer.error}"
+        if not ok and self._at > 0:
+            names = " and ".join(_LIST_NAMES[k] for k, _ in self._lists[: self._at])
+            error += f" (new already: {names})"
+        assert transfer.code is not None
+        self.result = UploadResult(
+            code=transfer.code,
+            error=error,
+            differences=transfer.differences,
+            items_sent=sum(t.items_sent for _, t in self._lists),
+            items_total=self._total,
+            attempts=sum(t.attempts for _, t in self._lists),
+            elapsed_s=now - self._started_at,
+        )
+        return []

@@ -1,0 +1,102 @@
+"""What is known of the vehicle from its telemetry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.mavlink.codec import Message
+from wisar_planner.mavlink.dialect import GENERIC, Dialect, dialect_of
+
+_NO_HEADING = 65_535
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """A snapshot of the vehicle.
+
+    Parameters
+    ----------
+    system, component
+        Ids of the autopilot.
+    autopilot, vehicle_type
+        MAV_AUTOPILOT and MAV_TYPE codes of the heartbeat.
+    armed
+        Whether the motors may turn.
+    heard_at
+        Monotonic time in seconds of the last heartbeat.
+    latitude, longitude
+        Degrees; None before the first position.
+    altitude, relative_altitude
+        Metres above mean sea level and above home.
+    velocity
+        North, east and down in m/s.
+    heading
+        Radians clockwise from north; None if the vehicle does not know it.
+    home
+        Latitude, longitude (degrees) and altitude (m) of home, once told.
+    current_item, reached_item
+        Item being flown to and last item reached, in the mission's own numbering (without
+        ArduPilot's home item); None if not told.
+    text
+        Last status text of the vehicle.
+    """
+
+    system: int
+    component: int
+    autopilot: int = mav.MAV_AUTOPILOT_GENERIC
+    vehicle_type: int = mav.MAV_TYPE_GENERIC
+    armed: bool = False
+    heard_at: float = 0.0
+    latitude: float | None = None
+    longitude: float | None = None
+    altitude: float = 0.0
+    relative_altitude: float = 0.0
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    heading: float | None = None
+    home: tuple[float, float, float] | None = None
+    current_item: int | None = None
+    reached_item: int | None = None
+    text: str = ""
+
+    @property
+    def dialect(self) -> Dialect:
+        """How this autopilot speaks the mission protocol."""
+        return dialect_of(self.autopilot) if self.heard_at else GENERIC
+
+
+def changes(state: VehicleState, message: Message, now: float) -> dict[str, object]:
+    """Return the fields of `state` that a telemetry message replaces; empty if none."""
+    name = message.get_type()
+    if name == "HEARTBEAT":
+        return {
+            "autopilot": message.autopilot,
+            "vehicle_type": message.type,
+            "armed": bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED),
+            "heard_at": now,
+        }
+    if name == "GLOBAL_POSITION_INT":
+        if abs(message.lat) > 900_000_000 or abs(message.lon) > 1_800_000_000:
+            return {}
+        known = message.hdg != _NO_HEADING
+        return {
+            "latitude": message.lat * 1e-7,
+            "longitude": message.lon * 1e-7,
+            "altitude": message.alt * 1e-3,
+            "relative_altitude": message.relative_alt * 1e-3,
+            "velocity": (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01),
+            "heading": message.hdg * 0.01 * 0.017453292519943295 if known else None,
+        }
+    if name == "HOME_POSITION":
+        return {
+            "home": (message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
+        }
+    if name in ("MISSION_CURRENT", "MISSION_ITEM_REACHED"):
+        seq = message.seq - (1 if state.dialect.home_item else 0)
+        field = "current_item" if name == "MISSION_CURRENT" else "reached_item"
+        return {field: seq if seq >= 0 else None}
+    if name == "STATUSTEXT":
+        text = message.text
+        return {"text": text if isinstance(text, str) else text.decode("utf-8", "replace")}
+    return {}

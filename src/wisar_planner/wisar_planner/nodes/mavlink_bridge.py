@@ -1,0 +1,387 @@
+"""The MAVLink bridge: puts `plan` on an autopilot and tells what the vehicle holds and does."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from wisar_msgs.action import UploadMission
+from wisar_msgs.msg import MissionStatus, ProbabilityMap, SearchPlan
+from wisar_planner.errors import InvalidInput
+from wisar_planner.mavlink.checks import Limits, check_mission
+from wisar_planner.mavlink.client import LinkError, LinkStatus, MissionClient
+from wisar_planner.mavlink.files import write_plan_file
+from wisar_planner.mavlink.flight import FlightTracker
+from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.search_mission import MissionSettings, search_mission
+from wisar_planner.mavlink.transfer import UploadProgress
+from wisar_planner.mavlink.vehicle import VehicleState
+from wisar_planner.nodes import conversions, parameters
+from wisar_planner.nodes.conversions import LocatedMap, Plan
+from wisar_planner.nodes.qos import LATCHED
+from wisar_planner.nodes.runtime import spin
+from wisar_planner.pdm.geodesy import LocalFrame
+
+Result = UploadMission.Result
+STATUS_PERIOD = 1.0
+"""Seconds between two `mission_status` messages when nothing changes."""
+
+
+class MavlinkBridge(Node):
+    """Uploads the last plan when asked, and reports the vehicle's state.
+
+    Nothing is armed or started by itself: `upload_mission` only uploads; `arm`, `start_mission`,
+    `pause`, `resume` and `return_to_launch` are services that somebody has to call.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("mavlink_bridge")
+        self._declare_parameters()
+        self._plan: Plan | None = None
+        self._map: LocatedMap | None = None
+        self._tracker: FlightTracker | None = None  # of the mission that was last verified
+        self._state = MissionStatus.NO_LINK
+        self._text = "no heartbeat heard yet"
+        self._map_id = ""
+        self._items = (0, 0)
+        self._status_publisher = self.create_publisher(MissionStatus, "mission_status", LATCHED)
+        value = self._value
+        self._client = MissionClient(
+            value("connection"),
+            system=value("system_id"),
+            component=value("component_id"),
+            target_system=value("target_system") or None,
+            target_component=value("target_component") or None,
+            key_file=Path(value("key_file")) if value("key_file") else None,
+            on_link=self._on_link,
+            on_vehicle=self._on_vehicle,
+        )
+        self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
+        self.create_subscription(SearchPlan, "plan", self._on_plan, LATCHED)
+        group = ReentrantCallbackGroup()
+        self._action = ActionServer(
+            self,
+            UploadMission,
+            "upload_mission",
+            execute_callback=self._on_goal,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=group,
+        )
+        for name in ("arm", "start_mission", "pause", "resume", "return_to_launch"):
+            request = self._explicit_request(getattr(self._client, name))
+            self.create_service(Trigger, name, request, callback_group=group)
+        self.create_timer(STATUS_PERIOD, self._publish_status)
+
+    def close(self) -> None:
+        """End the connection; an upload under way is cancelled, the old mission stays."""
+        self._client.close()
+        self._action.destroy()
+
+    def _declare_parameters(self) -> None:
+        def declare(
+            name: str, default: bool | int | float | str, text: str, **limits: float
+        ) -> None:
+            parameters.declare(self, name, default, text, read_only=name in fixed, **limits)
+
+        fixed = {
+            "connection",
+            "system_id",
+            "component_id",
+            "target_system",
+            "target_component",
+            "key_file",
+        }
+        declare(
+            "connection",
+            "udpin:127.0.0.1:14550",
+            "Where the autopilot is: udpin:, udpout:, tcp: or a serial device, as pymavlink has it",
+        )
+        declare("system_id", 245, "Own MAVLink system id", minimum=1, maximum=255)
+        declare("component_id", 190, "Own MAVLink component id", minimum=1, maximum=255)
+        declare("target_system", 0, "Vehicle's system id; 0: the first heard", minimum=0)
+        declare("target_component", 0, "Its component id; 0: the first heard", minimum=0)
+        declare("key_file", "", "File with the signing key; empty: no signing")
+        declare(
+            "altitude",
+            0.0,
+            "Flying height above the launch point, m; 0: where the camera sees the plan's swath",
+            minimum=0.0,
+        )
+        declare(
+            "field_of_view",
+            45.0,
+            "Camera's angle of view across the direction of flight, degrees",
+            minimum=1.0,
+            maximum=170.0,
+        )
+        declare("speed", 10.0, "Ground speed, m/s; 0: the vehicle's own setting", minimum=0.0)
+        declare("takeoff", True, "Whether the mission begins with a takeoff")
+        declare("end", "return_to_launch", "After the search: return_to_launch or loiter")
+        declare("altitude_frame", "relative", "Altitudes are relative (to launch) or terrain")
+        declare("camera_trigger", 0.0, "Distance between two pictures, m; 0: none", minimum=0.0)
+        declare("fence", False, "Whether the search area is uploaded as a geofence")
+        declare("fence_margin", 30.0, "How far outside the area the fence stands, m", minimum=0.0)
+        declare("rally", False, "Whether the launch point is uploaded as a rally point")
+        declare("min_altitude", 2.0, "Lowest altitude allowed, m")
+        declare("max_altitude", 120.0, "Highest altitude allowed, m")
+        declare(
+            "endurance",
+            0.0,
+            "Distance that the vehicle can fly, the legs there and home included, m; 0: unknown",
+            minimum=0.0,
+        )
+        declare(
+            "max_first_waypoint",
+            2000.0,
+            "Greatest distance between the vehicle and the first waypoint, m",
+            minimum=1.0,
+        )
+        declare(
+            "plan_files",
+            "",
+            "Files to write each plan to, separated by commas: .plan .waypoints .kml .gpx .geojson",
+        )
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    # The plan
+
+    def _on_map(self, message: ProbabilityMap) -> None:
+        try:
+            self._map = conversions.map_from_msg(message)
+        except InvalidInput as error:
+            self.get_logger().error(f"map refused, the last good map stays: {error}")
+
+    def _on_plan(self, message: SearchPlan) -> None:
+        try:
+            plan = conversions.plan_from_msg(message)
+        except InvalidInput as error:
+            self.get_logger().error(f"plan refused, the last good plan stays: {error}")
+            return
+        self._plan = plan
+        self._publish_status()
+        self.get_logger().info(
+            f"plan of map {plan.map_id!r} with {len(plan.path.waypoints)} waypoints: "
+            "call upload_mission to put it on the vehicle"
+        )
+        for name in filter(None, self._value("plan_files").split(",")):
+            try:
+                write_plan_file(Path(name.strip()), self._mission(plan))
+            except (InvalidInput, OSError) as error:
+                self.get_logger().error(f"plan file not written: {error}")
+
+    def _mission(self, plan: Plan) -> Mission:
+        """Build the mission of a plan with the parameters, or raise InvalidInput."""
+        value = self._value
+        settings = MissionSettings(
+            altitude_m=value("altitude") or None,
+            field_of_view=math.radians(value("field_of_view")),
+            speed=value("speed") or None,
+            takeoff=value("takeoff"),
+            end=value("end"),
+            altitude_frame=value("altitude_frame"),
+            camera_trigger_m=value("camera_trigger") or None,
+            fence=value("fence"),
+            fence_margin_m=value("fence_margin"),
+            rally=value("rally"),
+        )
+        located = self._map_of(plan)
+        return search_mission(
+            plan.path,
+            LocalFrame(plan.origin),
+            settings,
+            area=None if located is None else located.area,
+            launch=self._vehicle_place(),
+        )
+
+    def _map_of(self, plan: Plan) -> LocatedMap | None:
+        located = self._map
+        return located if located is not None and located.map_id == plan.map_id else None
+
+    def _vehicle_place(self) -> tuple[float, float] | None:
+        vehicle = self._client.vehicle
+        if vehicle is None or vehicle.latitude is None or vehicle.longitude is None:
+            return None
+        return vehicle.latitude, vehicle.longitude
+
+    def _reasons_against(self, mission: Mission) -> tuple[str, ...]:
+        """Return why a mission must not be uploaded."""
+        limits = Limits(
+            min_altitude_m=self._value("min_altitude"),
+            max_altitude_m=self._value("max_altitude"),
+            endurance_m=self._value("endurance") or None,
+            first_waypoint_m=self._value("max_first_waypoint"),
+        )
+        return check_mission(mission, limits, vehicle=self._vehicle_place())
+
+    # The upload
+
+    def _on_goal(self, goal: ServerGoalHandle) -> UploadMission.Result:
+        plan = self._plan
+        if plan is None:
+            return self._refuse(goal, Result.NO_PLAN, "no plan has arrived: start the planner")
+        if goal.request.map_id not in ("", plan.map_id):
+            return self._refuse(
+                goal,
+                Result.WRONG_MAP,
+                f"the last plan is of map {plan.map_id!r}, not of {goal.request.map_id!r}",
+            )
+        try:
+            mission = self._mission(plan)
+            reasons = self._reasons_against(mission)
+        except InvalidInput as error:
+            reasons = (str(error),)
+        if reasons:
+            return self._refuse(goal, Result.UNSAFE, "; ".join(reasons))
+        return self._upload(goal, plan, mission)
+
+    def _upload(self, goal: ServerGoalHandle, plan: Plan, mission: Mission) -> UploadMission.Result:
+        def on_progress(progress: UploadProgress) -> None:
+            items = (progress.items_sent, progress.items_total)
+            if items != self._items:
+                self._set_state(
+                    MissionStatus.UPLOADING, f"{progress.phase}; the old mission counts", items
+                )
+                goal.publish_feedback(
+                    UploadMission.Feedback(items_sent=items[0], items_total=items[1])
+                )
+
+        before = self._state, self._text, self._items
+        outcome = self._client.upload(
+            mission, on_progress=on_progress, should_cancel=lambda: goal.is_cancel_requested
+        )
+        if outcome.verified:
+            self._map_id = plan.map_id
+            self._track(plan, mission)
+            count = len(mission.items)
+            text = f"{count} items uploaded, read back and equal"
+            self._set_state(MissionStatus.VERIFIED, text, (count, count))
+            self.get_logger().info(text)
+            goal.succeed()
+            return Result(error_code=Result.NONE, items=count)
+        text = "; ".join((outcome.error, *outcome.differences[:5]))
+        self.get_logger().error(f"upload failed: {text}")
+        if int(outcome.code) == Result.BUSY:
+            self._set_state(*before)
+        else:
+            self._set_state(MissionStatus.FAILED, text, (0, len(mission.items)))
+        if int(outcome.code) == Result.CANCELED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return Result(error_code=int(outcome.code), error_text=text)
+
+    def _refuse(self, goal: ServerGoalHandle, code: int, text: str) -> UploadMission.Result:
+        self.get_logger().warning(f"upload refused: {text}")
+        goal.abort()
+        return Result(error_code=code, error_text=text)
+
+    # The flight
+
+    def _track(self, plan: Plan, mission: Mission) -> None:
+        """Follow the flight of a verified mission, if the map of its plan is here."""
+        located = self._map_of(plan)
+        self._tracker = (
+            None
+            if located is None
+            else FlightTracker(located.pdm, plan.path, LocalFrame(plan.origin), mission)
+        )
+
+    def _on_vehicle(self, vehicle: VehicleState) -> None:
+        tracker = self._tracker
+        if tracker is None:
+            return
+        progress = tracker.update(vehicle, time.monotonic())
+        if progress.completed and self._state == MissionStatus.FLYING:
+            self._set_state(MissionStatus.COMPLETED, "the mission has been flown", self._items)
+        elif progress.flying:
+            items = (progress.waypoints_reached, progress.waypoints_total)
+            if self._state != MissionStatus.FLYING or items != self._items:
+                self._set_state(MissionStatus.FLYING, "the verified mission is being flown", items)
+
+    # Requests to the vehicle
+
+    def _explicit_request(
+        self, act: Callable[[], None]
+    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                act()
+            except LinkError as error:
+                self.get_logger().error(str(error))
+                response.success, response.message = False, str(error)
+            else:
+                response.success, response.message = True, "accepted by the vehicle"
+            return response
+
+        return answer
+
+    # The status
+
+    def _on_link(self, status: LinkStatus) -> None:
+        self.get_logger().info(status.text)
+        if self._state in (MissionStatus.NO_LINK, MissionStatus.IDLE):
+            state = MissionStatus.IDLE if status.connected else MissionStatus.NO_LINK
+            self._set_state(state, status.text, self._items)
+
+    def _uploadable_map_id(self) -> str:
+        """Return the map of the last plan once everything that its mission needs is here."""
+        plan = self._plan
+        if plan is None or (self._value("fence") and self._map_of(plan) is None):
+            return ""
+        return plan.map_id
+
+    def _set_state(self, state: int, text: str, items: tuple[int, int]) -> None:
+        self._state, self._text, self._items = state, text, items
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        vehicle = self._client.vehicle
+        link = self._client.link_status
+        position = (math.nan, math.nan, math.nan)
+        if vehicle is not None and vehicle.latitude is not None and vehicle.longitude is not None:
+            position = (vehicle.latitude, vehicle.longitude, vehicle.relative_altitude)
+        counters = self._client.counters
+        flight = None if self._tracker is None else self._tracker.progress
+        self._status_publisher.publish(
+            MissionStatus(
+                header=conversions.header(self.get_clock().now().nanoseconds, "wgs84"),
+                state=self._state,
+                text=self._text if link.connected else link.text,
+                planned_map_id=self._uploadable_map_id(),
+                map_id=self._map_id,
+                autopilot=vehicle.dialect.name if vehicle is not None else "",
+                connected=link.connected,
+                armed=vehicle is not None and vehicle.armed,
+                items_transferred=self._items[0],
+                items_total=self._items[1],
+                latitude=position[0],
+                longitude=position[1],
+                altitude=position[2],
+                distance=0.0 if flight is None else flight.distance,
+                probability=0.0 if flight is None else flight.probability,
+                planned_probability=0.0 if flight is None else flight.planned_probability,
+                rejected_messages=counters.unsigned + counters.badly_signed,
+            )
+        )
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return spin(MavlinkBridge)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Starting and ending a node as a process."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol, cast
+
+import rclpy
+from rclpy.exceptions import (
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+
+from wisar_planner.errors import InvalidInput
+
+_USER_MISTAKES = (
+    InvalidInput,
+    OSError,  # a file that is missing, a port that is taken
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
+
+
+class Closeable(Protocol):
+    """A node with threads or sockets of its own."""
+
+    def close(self) -> None:
+        """Stop them; called once, before the node is destroyed."""
+
+
+def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
+    """Run a node until Ctrl-C, SIGTERM or a shutdown of the context; return the exit status.
+
+    A mistake in its parameters ends it with one line on stderr and status 2.
+    """
+    rclpy.init(args=arguments)
+    try:
+        node = factory()
+    except _USER_MISTAKES as error:
+        print(f"{factory.__name__}: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    # Threads let a node answer (parameters, cancel requests) while a callback works.
+    executor = MultiThreadedExecutor(num_threads=4)
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if hasattr(node, "close"):
+            cast(Closeable, node).close()
+        executor.shutdown(timeout_sec=2.0)
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,197 @@
+"""GeoJSON (RFC 7946) documents, and polygons between them and local metres.
+
+RFC 7946 knows one coordinate reference system, WGS84 longitude and latitude in degrees, in this
+order. Documents of the 2008 draft that name another in a ``crs`` member are refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Polygon
+from shapely.geometry import mapping
+from shapely.geometry.polygon import orient
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.pdm.geodesy import LocalFrame
+
+Area = Polygon | MultiPolygon
+
+_WGS84_NAMES = ("CRS84", "EPSG::4326", "EPSG:4326")
+
+
+def read_geojson(path: Path) -> dict[str, Any]:
+    """Parse a GeoJSON file.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a JSON object, holds NaN or infinity, or names a CRS other than WGS84.
+    OSError
+        If it cannot be read.
+    """
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not a JSON number")
+
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInput(f"{path}: not valid JSON ({error}); export it again") from None
+    if not isinstance(document, dict) or not isinstance(document.get("type"), str):
+        raise InvalidInput(f"{path}: not GeoJSON (no object with a 'type'); export it as GeoJSON")
+    crs = document.get("crs")
+    if crs is not None and not any(name in json.dumps(crs) for name in _WGS84_NAMES):
+        raise InvalidInput(
+            f"{path}: crs is {json.dumps(crs)}, but GeoJSON is in WGS84 degrees (RFC 7946); "
+            f"convert it: ogr2ogr -t_srs EPSG:4326 -lco RFC7946=YES wgs84.geojson {path.name}"
+        )
+    return document
+
+
+def features_of(document: dict[str, Any], where: str) -> list[dict[str, Any]]:
+    """Return the features of a FeatureCollection or Feature; a bare geometry becomes a feature.
+
+    Raises
+    ------
+    InvalidInput
+        If a feature is not an object with an object as its geometry.
+    """
+    if document["type"] == "FeatureCollection":
+        features = document.get("features")
+    elif document["type"] == "Feature":
+        features = [document]
+    else:
+        features = [{"type": "Feature", "geometry": document, "properties": {}}]
+    if not isinstance(features, list):
+        raise InvalidInput(f"{where}: features must be a list of GeoJSON features")
+    for i, feature in enumerate(features):
+        if not (isinstance(feature, dict) and isinstance(feature.get("geometry"), dict)):
+            raise InvalidInput(f"{where}: features[{i}] must be a feature with a geometry")
+        if not isinstance(feature.setdefault("properties", {}) or {}, dict):
+            raise InvalidInput(f"{where}: features[{i}].properties must be an object")
+    return features
+
+
+def position(value: Any, where: str) -> tuple[float, float]:
+    """Read a GeoJSON position as (latitude, longitude) in degrees; an altitude is dropped.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not two or three numbers within the range of degrees.
+    """
+    numbers = isinstance(value, list) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in value
+    )
+    if not numbers or len(value) not in (2, 3):
+        raise InvalidInput(f"{where} must be [longitude, latitude] in degrees, not {value!r}")
+    longitude, latitude = float(value[0]), float(value[1])
+    if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
+        raise InvalidInput(
+            f"{where} is {value!r}, which is no [longitude, latitude] in degrees; "
+            "check the order, and that the file is in WGS84 and not in metres"
+        )
+    return latitude, longitude
+
+
+def polygon_from_geometry(geometry: dict[str, Any], frame: LocalFrame, where: str) -> Area:
+    """Project a GeoJSON Polygon or MultiPolygon into a local frame.
+
+    Parts that touch, as where the antimeridian cuts a polygon, become one.
+
+    Raises
+    ------
+    InvalidInput
+        If the geometry is of another type, or is no valid polygon with an area.
+    """
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if kind not in ("Polygon", "MultiPolygon"):
+        raise InvalidInput(f"{where}.type must be Polygon or MultiPolygon, not {kind!r}")
+    parts = [coordinates] if kind == "Polygon" else coordinates
+    if not isinstance(parts, list) or not parts:
+        raise InvalidInput(f"{where}.coordinates must hold at least one polygon")
+    polygons = []
+    for part in parts:
+        if not isinstance(part, list) or not part:
+            raise InvalidInput(f"{where}.coordinates must be lists of rings")
+        rings = [_local_ring(ring, frame, f"{where}.coordinates") for ring in part]
+        polygons.append(checked_polygon(Polygon(rings[0], rings[1:]), where))
+    return checked_polygon(shapely.union_all(polygons), where)
+
+
+def checked_polygon(polygon: Any, where: str) -> Area:
+    """Return a polygon as it is.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a valid polygon or multipolygon with an area.
+    """
+    if not isinstance(polygon, Polygon | MultiPolygon) or polygon.is_empty:
+        raise InvalidInput(f"{where} must be a polygon with an area")
+    if not polygon.is_valid:
+        raise InvalidInput(
+            f"{where} is no valid polygon ({shapely.is_valid_reason(polygon)}, in local metres); "
+            "repair it, for instance with 'Fix geometries' of QGIS"
+        )
+    if not polygon.area > 0.0:
+        raise InvalidInput(f"{where} must be a polygon with an area, not a line or a point")
+    return polygon
+
+
+def polygon_to_geometry(polygon: Area, frame: LocalFrame) -> dict[str, Any]:
+    """Return a polygon of a local frame as a GeoJSON geometry, wound as RFC 7946 wants it."""
+    parts = [orient(part) for part in getattr(polygon, "geoms", [polygon])]
+    wound = parts[0] if len(parts) == 1 else MultiPolygon(parts)
+    return geometry_of(shapely.transform(wound, lambda points: frame.to_geodetic(points)[:, ::-1]))
+
+
+def geometry_of(polygon: Area) -> dict[str, Any]:
+    """Return a polygon as a GeoJSON geometry, coordinates as they are, in lists."""
+    geometry: dict[str, Any] = json.loads(json.dumps(mapping(polygon)))  # tuples become lists
+    return geometry
+
+
+def union_of(polygons: Sequence[Area], where: str) -> Area:
+    """Return the union of polygons, which must have an area."""
+    return checked_polygon(shapely.union_all(list(polygons)), where)
+
+
+def load_area(path: Path, frame: LocalFrame) -> Area:
+    """Read a search area: every polygon of a GeoJSON file, joined.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON geometry, Feature or FeatureCollection, in WGS84 degrees (RFC 7946).
+    frame : LocalFrame
+        Where the result's metres are measured.
+
+    Raises
+    ------
+    InvalidInput
+        If the file is wrong or has no polygon.
+    OSError
+        If it cannot be read.
+    """
+    polygons = [
+        polygon_from_geometry(feature["geometry"], frame, f"{path}: features[{i}].geometry")
+        for i, feature in enumerate(features_of(read_geojson(path), str(path)))
+        if feature["geometry"].get("type") in ("Polygon", "MultiPolygon")
+    ]
+    if not polygons:
+        raise InvalidInput(f"{path}: no Polygon in it; draw the search area as a polygon")
+    return union_of(polygons, f"{path}: the area")
+
+
+def _local_ring(ring: Any, frame: LocalFrame, where: str) -> Any:
+    if not isinstance(ring, list) or len(ring) < 4:
+        raise InvalidInput(f"{where} must be closed rings of at least four positions")
+    places = np.array([position(value, f"{where}[{i}]") for i, value in enumerate(ring)])
+    return frame.to_local(places[:, 0], places[:, 1])

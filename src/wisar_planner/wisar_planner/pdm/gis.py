@@ -1,0 +1,124 @@
+"""Probability maps from files, whatever their format: the door to GeoTIFF, GeoJSON and YAML."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.pdm.gaussian_mixture import GaussianMixture
+from wisar_planner.pdm.geodesy import GeoOrigin
+from wisar_planner.pdm.geojson import Area, load_area
+from wisar_planner.pdm.loaded_map import LoadedMap
+
+__all__ = ["LoadedMap", "load_map", "save_mixture"]
+
+RASTER_SUFFIXES = (".tif", ".tiff")
+GEOJSON_SUFFIXES = (".geojson", ".json")
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+def load_map(
+    path: str | PathLike[str],
+    *,
+    band: int = 1,
+    area: str | PathLike[str] | None = None,
+    cell: float | None = None,
+    origin: GeoOrigin | None = None,
+) -> LoadedMap:
+    """Read a probability map; the suffix of the file tells its format.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.tif`` or ``.tiff``: a raster in any CRS (`wisar_planner.pdm.geotiff`); ``.geojson`` or
+        ``.json``, ``.yaml`` or ``.yml``: a Gaussian mixture (`wisar_planner.pdm.mixture_geojson`,
+        `wisar_planner.pdm.mixture_yaml`).
+    band : int
+        Band of a raster, from 1.
+    area : path-like, optional
+        GeoJSON file (WGS84 degrees, RFC 7946) whose polygons are the search area, instead of the
+        footprint of the raster or the area in the mixture's file.
+    cell : float, optional
+        Side of the cells of a raster map in metres; the raster's own by default.
+    origin : GeoOrigin, optional
+        Where to measure local metres from; by default the centre of a raster, or what a mixture's
+        file says. A YAML mixture is in metres and always has its own.
+
+    Returns
+    -------
+    LoadedMap
+        Map and search area in local metres, origin, and notes on what was done to the values.
+
+    Raises
+    ------
+    InvalidInput
+        If a file or an argument is wrong; the message names the file, the field and the remedy.
+    OSError
+        If a file cannot be read.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in RASTER_SUFFIXES:
+        # Imported here: GDAL takes a second to load, and mixtures do not need it.
+        from wisar_planner.pdm.geotiff import load_geotiff
+
+        loaded = load_geotiff(path, band=band, cell=cell, origin=origin)
+    elif suffix in GEOJSON_SUFFIXES:
+        from wisar_planner.pdm.mixture_geojson import load_geojson_mixture
+
+        loaded = load_geojson_mixture(path, origin)
+    elif suffix in YAML_SUFFIXES:
+        from wisar_planner.pdm.mixture_yaml import load_yaml_mixture
+
+        if origin is not None:
+            raise InvalidInput(f"origin: {path} is in local metres and has its own; edit it there")
+        loaded = load_yaml_mixture(path)
+    else:
+        raise InvalidInput(_unknown_suffix(path, RASTER_SUFFIXES))
+    if area is None:
+        return loaded
+    return replace(loaded, area=load_area(Path(area), loaded.frame))
+
+
+def save_mixture(
+    path: str | PathLike[str], mixture: GaussianMixture, area: Area, origin: GeoOrigin
+) -> None:
+    """Write a mixture and its search area so that `load_map` reads the same again.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.geojson`` or ``.json`` for GIS programs (degrees), ``.yaml`` or ``.yml`` (metres).
+    mixture : GaussianMixture
+        In metres about `origin`.
+    area : shapely.Polygon or shapely.MultiPolygon
+        The search area in the same metres.
+    origin : GeoOrigin
+        Where (0, 0) is.
+
+    Raises
+    ------
+    InvalidInput
+        If the suffix is another.
+    OSError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in GEOJSON_SUFFIXES:
+        from wisar_planner.pdm.mixture_geojson import save_geojson_mixture
+
+        save_geojson_mixture(path, mixture, area, origin)
+    elif suffix in YAML_SUFFIXES:
+        from wisar_planner.pdm.mixture_yaml import save_yaml_mixture
+
+        save_yaml_mixture(path, mixture, area, origin)
+    else:
+        raise InvalidInput(_unknown_suffix(path, ()))
+
+
+def _unknown_suffix(path: Path, rasters: tuple[str, ...]) -> str:
+    known = ", ".join(rasters + GEOJSON_SUFFIXES + YAML_SUFFIXES)
+    return f"{path}: the suffix {path.suffix!r} is not one of {known}"

@@ -1,0 +1,148 @@
+"""A probability map from a GIS raster: probability per cell, uniform inside a cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from shapely import MultiPolygon, Polygon
+
+from wisar_planner.errors import FloatArray, InvalidInput, finite_array
+from wisar_planner.pdm import raster_kernels as kernels
+from wisar_planner.pdm.boundary import polygon_edges
+from wisar_planner.pdm.coverage_kernels import coverage
+from wisar_planner.pdm.grid import Grid
+from wisar_planner.pdm.protocol import IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class RasterMap:
+    """A grid of probabilities; outside it there is none.
+
+    Parameters
+    ----------
+    probability : (rows, columns) array_like
+        Probability that the person is in the cell, row 0 south; not negative, with a sum above 0
+        and at most 1. The sum is kept as given: what is missing lies off the map.
+    grid : Grid
+        Where the cells are.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is negative or not finite, shapes disagree, or the sum is 0 or above 1.
+    """
+
+    probability: FloatArray
+    grid: Grid
+    _prefix: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.grid, Grid):
+            raise InvalidInput(f"grid must be a Grid, not {type(self.grid).__name__}")
+        shape = (self.grid.rows, self.grid.columns)
+        probability = finite_array(self.probability, "probability", shape)
+        if (probability < 0.0).any():
+            raise InvalidInput(
+                f"probability must not be negative, but a cell holds {probability.min():g}; "
+                "set no-data cells to 0"
+            )
+        total = float(probability.sum())
+        if not 0.0 < total <= 1.0 + 1e-6:
+            raise InvalidInput(
+                f"probability must sum to more than 0 and at most 1, not {total:.9g}; "
+                "divide it by its sum"
+            )
+        prefix = np.zeros((shape[0], shape[1] + 1))
+        np.cumsum(probability, axis=1, out=prefix[:, 1:])
+        probability.flags.writeable = False
+        prefix.flags.writeable = False
+        object.__setattr__(self, "probability", probability)
+        object.__setattr__(self, "_prefix", prefix)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(xmin, ymin, xmax, ymax) of the grid, m."""
+        return self.grid.bounds
+
+    def density(self, points: npt.ArrayLike) -> FloatArray:
+        """Return the density in 1/m^2, (N,), at `points`, (N, 2) m; 0 outside the grid.
+
+        A border between cells belongs to the cell to its north or east; the outer border of the
+        grid belongs to the grid.
+        """
+        xy = finite_array(points, "points", (None, 2))
+        xmin, ymin, xmax, ymax = self.bounds
+        inside = (xy >= (xmin, ymin)).all(axis=1) & (xy <= (xmax, ymax)).all(axis=1)
+        values = np.zeros(len(xy))
+        cells = np.floor((xy[inside] - (xmin, ymin)) / self.grid.cell).astype(np.int64)
+        column = np.minimum(cells[:, 0], self.grid.columns - 1)
+        row = np.minimum(cells[:, 1], self.grid.rows - 1)
+        values[inside] = self.probability[row, column] / self.grid.cell**2
+        return values
+
+    def integrate(self, polygon: Polygon | MultiPolygon) -> float:
+        """Return the probability inside `polygon`: every cell by the share of it that is covered.
+
+        Exact to rounding. Raises InvalidInput when `polygon` is no valid polygon.
+        """
+        edges = polygon_edges(polygon)
+        return float(self.integrate_boundary(edges, np.zeros(len(edges), np.int64), 1)[0])
+
+    def integrate_boundary(self, pieces: FloatArray, owners: IntArray, count: int) -> FloatArray:
+        """Return the probability inside each region; see `ProbabilityMap.integrate_boundary`."""
+        grid = self.grid
+        return kernels.integrate_boundary(
+            pieces, owners, count, self._prefix, grid.x0, grid.y0, grid.cell
+        )
+
+    def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return `count` random positions, (count, 2) m: a cell, then uniform inside it.
+
+        The cell is drawn by the Gumbel-max trick, first its row by the rows' totals, then its
+        column: a maximum of Gumbel variables is a Gumbel variable at the logarithm of the summed
+        weights, so this draws as one maximum over all cells would, at the cost of one row.
+        """
+        with np.errstate(divide="ignore"):
+            log_rows = np.log(self._prefix[:, -1])
+            log_cells = np.log(self.probability)
+        rows = (log_rows + rng.gumbel(size=(count, self.grid.rows))).argmax(axis=1)
+        noise = rng.gumbel(size=(count, self.grid.columns))
+        columns = (log_cells[rows] + noise).argmax(axis=1)
+        cells = np.column_stack([columns, rows]) + rng.random((count, 2))
+        return np.asarray((self.grid.x0, self.grid.y0) + cells * self.grid.cell)
+
+    def rasterize(self, grid: Grid) -> FloatArray:
+        """Return the probability in each cell of `grid`, (rows, columns), row 0 south.
+
+        Cells give by the share of them that a new cell covers: exact, and mass is kept wherever
+        `grid` covers this map.
+        """
+        across = _overlap(self.grid.x_edges, grid.x_edges)
+        up = _overlap(self.grid.y_edges, grid.y_edges)
+        return np.asarray(up @ self.probability @ across.T)
+
+    def most_probable_mass(self, region: Polygon | MultiPolygon, area: float) -> float:
+        """Return the mass of the most probable part of `region` of `area` m^2.
+
+        The densest cells are taken until the area is used up, the last one in part. It is exact,
+        and so the least upper bound of the mass in any part of that size.
+        """
+        grid = self.grid
+        covered = coverage(
+            polygon_edges(region), grid.x0, grid.y0, grid.cell, grid.rows, grid.columns
+        )
+        covered = np.clip(covered, 0.0, 1.0).ravel()
+        order = np.argsort(-self.probability, axis=None, kind="stable")
+        sizes = covered[order]
+        used = np.cumsum(sizes)
+        taken = np.clip(max(area, 0.0) / grid.cell**2 - (used - sizes), 0.0, sizes)
+        return float(taken @ self.probability.ravel()[order])
+
+
+def _overlap(old: FloatArray, new: FloatArray) -> FloatArray:
+    """Return the share of each old interval that lies in each new one, (new, old)."""
+    low = np.maximum(new[:-1, None], old[:-1])
+    high = np.minimum(new[1:, None], old[1:])
+    return np.maximum(high - low, 0.0) / np.diff(old)

@@ -1,0 +1,101 @@
+"""The map, the area and the coverage of a search on one fine raster, for fast trial and error."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+
+from wisar_planner.errors import FloatArray
+from wisar_planner.pdm import Grid
+from wisar_planner.planners.swath_kernels import classify
+from wisar_planner.search.problem import SearchProblem
+
+# Cells per swath radius. A swath 2 r wide covers up to floor(2 r) + 1 rows, and annealing finds the
+# places where it does; so 2 r, and 2 r sqrt(2) for diagonals, lie just under whole numbers.
+COARSE, FINE = 3.495, 5.9975
+# A step shorter than the swath needs cells no wider than this share of it.
+_CELLS_PER_STEP = 3.0
+# Cells of the largest raster, 13 bytes each; a wider search gets coarser cells.
+_MOST_CELLS = 1 << 22
+# Steps of room about given positions.
+_ROOM = 16.0
+
+
+class SearchRaster:
+    """What trial-and-error planners work on: weights, area and coverage counts per cell.
+
+    Where it would take more than 2^22 cells (55 MB), cells are wider than asked for.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Supplies map, area, start, swath radius, step length and budget.
+    cells_per_radius : float
+        Cells per swath radius, COARSE or FINE; more where a step is short.
+    around : (N, 2) float64, optional
+        Positions in metres. The raster then covers these and some steps about them, and waypoints
+        beyond it count as outside the area; else it covers all the budget can reach.
+
+    Attributes
+    ----------
+    grid : Grid
+        Where the cells lie.
+    weights : (rows, columns) int32
+        Probability of each cell in units of `unit`.
+    unit : float
+        Probability of a weight of 1.
+    counts : (rows, columns) uint64
+        How often each cell is covered, see `swath_kernels`; zero between uses.
+    kinds, edges
+        The area, for `swath_kernels.inside`.
+    radius, step : float
+        Swath radius and step length in cells.
+    """
+
+    def __init__(
+        self, problem: SearchProblem, cells_per_radius: float, around: FloatArray | None = None
+    ) -> None:
+        xmin, ymin, xmax, ymax = problem.area.bounds
+        if around is None:
+            around, reach = problem.start[None], problem.max_distance
+        else:
+            reach = _ROOM * problem.step_length
+        # What can be flown to, and the swath beside it.
+        low = np.maximum(around.min(axis=0) - reach, (xmin, ymin)) - problem.swath_radius
+        high = np.minimum(around.max(axis=0) + reach, (xmax, ymax)) + problem.swath_radius
+        cell = max(
+            min(problem.swath_radius / cells_per_radius, problem.step_length / _CELLS_PER_STEP),
+            math.sqrt(math.prod(high - low) / _MOST_CELLS),
+        )
+        self.grid = Grid.covering((*low, *high), cell)
+        self.cells_per_radius = cells_per_radius
+        self.radius = problem.swath_radius / cell
+        self.step = problem.step_length / cell
+        mass = problem.pdm.rasterize(self.grid)
+        # One row of one swath, up to twice as wide, must add up within 32 bits.
+        run = math.ceil(self.step + 4.0 * self.radius) + 2
+        self.unit = max(float(mass.max()), np.finfo(np.float64).tiny) * run / (2.0**31 - 1.0)
+        self.weights = np.floor(mass / self.unit).astype(np.int32)
+        self.counts = np.zeros(mass.shape, np.uint64)
+        # A hair inside the border, so that rounding never puts a waypoint outside.
+        self.edges = self._edges(problem.area.polygon.buffer(-1e-7 * problem.step_length))
+        self.kinds = np.empty(mass.shape, np.uint8)
+        classify(self.kinds, self.edges)
+
+    def to_cells(self, points: FloatArray) -> FloatArray:
+        """Return points in metres, (..., 2), as points in cells."""
+        return (points - (self.grid.x0, self.grid.y0)) / self.grid.cell - 0.5
+
+    def to_metres(self, points: FloatArray) -> FloatArray:
+        """Return points in cells, (..., 2), as points in metres."""
+        return (points + 0.5) * self.grid.cell + (self.grid.x0, self.grid.y0)
+
+    def _edges(self, polygon: shapely.Polygon | shapely.MultiPolygon) -> FloatArray:
+        """Return the edges of all rings of a polygon in cells, (E, 4)."""
+        edges = [np.empty((0, 4))]
+        for ring in shapely.get_rings(shapely.get_parts(polygon)):
+            vertices = self.to_cells(shapely.get_coordinates(ring))
+            edges.append(np.concatenate([vertices[:-1], vertices[1:]], axis=1))
+        return np.concatenate(edges)

@@ -1,0 +1,1 @@
+"""Simulated vehicle and autopilot to test the search planner against."""

@@ -1,0 +1,115 @@
+"""Nodes as processes of their own over Fast DDS, each test in a ROS domain of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from wisar_planner.pdm import GaussianMixture
+from wisar_planner.pdm.geodesy import GeoOrigin
+from wisar_planner.pdm.gis import save_mixture
+from wisar_planner.search import SearchArea
+from wisar_sim.nodes.operator import Operator
+from wisar_sim.processes import (
+    ProcessGroup,
+    RosDomain,
+    executable,
+    free_udp_port,
+    ros_arguments,
+)
+
+SCENE = {"swath_radius": 10.0, "step_length": 25.0, "max_distance": 1500.0}
+"""A small search that plans in milliseconds."""
+
+
+class Suite:
+    """The suite's processes and an operator in one ROS domain."""
+
+    def __init__(self, folder: Path) -> None:
+        self._domain = RosDomain()
+        self.domain = self._domain.number
+        self.port = free_udp_port()
+        self.folder = folder
+        self.processes = ProcessGroup(folder / "logs", {"ROS_DOMAIN_ID": str(self.domain)})
+        self.operator = Operator(domain=self.domain)
+
+    def start(
+        self, package: str, name: str, namespace: str | None = None, **parameters: object
+    ) -> subprocess.Popen[bytes]:
+        command = [executable(package, name), *ros_arguments(parameters, namespace=namespace)]
+        return self.processes.start(f"{namespace or ''}{name}", command)
+
+    def start_map(self, path: Path, namespace: str | None = None) -> subprocess.Popen[bytes]:
+        return self.start("wisar_planner", "pdm_server", namespace, map=str(path))
+
+    def start_planner(
+        self, planner: str = "greedy", namespace: str | None = None, **parameters: object
+    ) -> None:
+        settings = SCENE | {"planner": planner} | parameters
+        self.start("wisar_planner", "planner", namespace, **settings)
+
+    def start_drone(self) -> None:
+        self.start("wisar_sim", "sim_drone", tick_rate=200.0)
+
+    def start_autopilot(self, *options: str) -> None:
+        command = [executable("wisar_sim", "sim_autopilot")]
+        # Home is the origin of the test's map; an option given again wins.
+        place = ("--home", "56.79,-5.0")
+        options = ("--connection", f"udpin:127.0.0.1:{self.port}", *place, *options)
+        self.processes.start("sim_autopilot", [*command, *options])
+
+    def start_bridge(self, **parameters: object) -> None:
+        connection = f"udpout:127.0.0.1:{self.port}"
+        self.start("wisar_planner", "mavlink_bridge", connection=connection, **parameters)
+
+    def close(self) -> None:
+        self._domain.close()
+
+    def log(self, name: str) -> str:
+        return self.processes.log(name).read_text(errors="replace")
+
+    def wait(self, condition: Callable[[], object], what: str, timeout: float = 90.0) -> None:
+        """Wait until `condition` holds; fail with `what` was waited for."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            self.processes.check()
+            if time.monotonic() > deadline:
+                pytest.fail(f"waited {timeout:g} s for {what}")
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Iterator[Suite]:
+    made = Suite(tmp_path)
+    with contextlib.closing(made), made.processes, made.operator:
+        yield made
+
+
+WriteMixture = Callable[..., Path]
+
+
+@pytest.fixture
+def write_mixture(tmp_path: Path) -> WriteMixture:
+    """Write a mixture of two components in 600 m x 500 m of the Scottish Highlands."""
+
+    def write(name: str, shift: float = 0.0) -> Path:
+        mixture = GaussianMixture(
+            [0.6, 0.4],
+            [[-80.0 + shift, 20.0], [120.0, -40.0]],
+            [[[2500.0, 600.0], [600.0, 1800.0]], [[1600.0, 0.0], [0.0, 3000.0]]],
+        )
+        area = SearchArea.rectangle(-300.0, -250.0, 300.0, 250.0)
+        save_mixture(tmp_path / name, mixture, area.polygon, GeoOrigin(56.79, -5.0))
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture
+def mixture_file(write_mixture: WriteMixture) -> Path:
+    return write_mixture("mixture.yaml")

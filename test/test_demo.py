@@ -1,0 +1,107 @@
+"""`make demo` as a person runs it: it ends by itself, and nothing is left running."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import shapely
+from matplotlib import image
+
+ROOT = Path(__file__).resolve().parent.parent
+DEMO = [sys.executable, str(ROOT / "scripts" / "demo.py"), "--planner", "lhc_gw_conv"]
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out"
+
+
+def nodes_of(out: Path) -> dict[int, str]:
+    """Return pid and command line of the processes that were started for this demo."""
+    mine = {}
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"WISAR_DEMO={out}".encode() in (process / "environ").read_bytes().split(b"\0"):
+                command = (process / "cmdline").read_text().replace("\0", " ")
+                mine[int(process.name)] = command
+        except OSError:
+            continue
+    return mine
+
+
+def start(out: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*DEMO, "--out", str(out), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # The mark that all its processes inherit.
+        env={**os.environ, "WISAR_DEMO": str(out)},
+    )
+
+
+def wait_for_node(out: Path, name: str) -> int:
+    """Wait until the demo has started a node; return its pid."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        for pid, command in nodes_of(out).items():
+            if f"/{name} " in command:
+                return pid
+        time.sleep(0.05)
+    pytest.fail(f"{name} was not started")
+
+
+def test_it_goes_from_a_map_to_a_mission(out: Path) -> None:
+    demo = start(out, "--budget", "3000")
+    stdout, stderr = demo.communicate(timeout=170)
+    assert demo.returncode == 0, stderr
+    assert nodes_of(out) == {}
+    assert "items accepted by PX4, read back and equal" in " ".join(stdout.split())
+    numbers = json.loads((out / "numbers.json").read_text())
+    plan, flight, mission = numbers["plan"], numbers["flight"], numbers["mission"]
+    assert 0.0 < plan["probability_efficiency"] <= plan["upper_bound"]
+    assert plan["length_m"] <= 3000.0
+    assert flight["distance_m"] == pytest.approx(plan["length_m"])
+    assert abs(flight["difference_to_plan"]) < 1e-3
+    assert mission["items_accepted"] == plan["waypoints"] + 3
+
+    geojson = json.loads((out / "plan.geojson").read_text())
+    lines = [shapely.geometry.shape(f["geometry"]) for f in geojson["features"]]
+    assert any(line.geom_type == "LineString" for line in lines)
+    west, south, east, north = shapely.total_bounds(lines)
+    assert -8.0 < west < east < 0.0  # the Scottish Highlands
+    assert 56.0 < south < north < 59.0
+    qgc = json.loads((out / "plan.plan").read_text())
+    assert qgc["fileType"] == "Plan"
+    assert len(qgc["mission"]["items"]) == mission["items_accepted"]
+    picture = image.imread(out / "picture.png")
+    assert picture.shape[1] > 1000
+    assert picture[..., :3].std() > 0.05  # not blank
+
+
+def test_ctrl_c_leaves_nothing_running(out: Path) -> None:
+    demo = start(out)
+    wait_for_node(out, "mavlink_bridge")
+    demo.send_signal(signal.SIGINT)
+    stdout, stderr = demo.communicate(timeout=30)
+    assert demo.returncode == 130, stderr
+    assert "Traceback" not in stderr
+    assert "nothing is left running" in stdout
+    assert nodes_of(out) == {}
+
+
+def test_a_node_that_dies_ends_the_demo_with_its_name(out: Path) -> None:
+    demo = start(out)
+    os.kill(wait_for_node(out, "planner"), signal.SIGKILL)
+    stdout, stderr = demo.communicate(timeout=60)
+    assert demo.returncode == 1, stdout
+    assert "planner ended with status -9" in stderr
+    assert "Traceback" not in stderr
+    assert nodes_of(out) == {}

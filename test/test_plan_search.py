@@ -1,0 +1,146 @@
+"""The plan_search action: feedback, cancel, numbered errors with text."""
+
+from __future__ import annotations
+
+import copy
+import time
+
+import pytest
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+
+from wisar_msgs.action import PlanSearch
+from wisar_msgs.msg import ProbabilityMap
+from wisar_planner.nodes.qos import LATCHED
+
+
+class Asker:
+    """One goal of plan_search and what came of it."""
+
+    def __init__(self, suite) -> None:
+        self._suite = suite
+        self._client = ActionClient(suite.operator.node, PlanSearch, "plan_search")
+        suite.wait(self._client.server_is_ready, "the planner's action")
+        self.feedback: list[PlanSearch.Feedback] = []
+        self.handle = None
+        self._result = None
+
+    def send(self, **goal: object) -> None:
+        future = self._client.send_goal_async(
+            PlanSearch.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
+        self._suite.wait(future.done, "the goal's acceptance")
+        self.handle = future.result()
+        self._result = self.handle.get_result_async()
+
+    def ask(self, **goal: object):
+        """Send a goal and return its result."""
+        self.send(**goal)
+        return self.result()
+
+    def result(self):
+        self._suite.wait(self._result.done, "the goal's result")
+        answer = self._result.result()
+        self.status = answer.status
+        return answer.result
+
+
+def test_a_goal_is_planned_published_and_returned(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner(plan_on_map=False)
+    suite.wait(lambda: suite.operator.map, "the map")
+    asker = Asker(suite)
+    suite.wait(lambda: "map '" in suite.log("planner"), "the planner's map")
+    assert suite.operator.plan is None  # plan_on_map is off
+    result = asker.ask(planner="lawnmower", budget=700.0, use_start=True, start=[-250.0, -200.0])
+    assert asker.status == GoalStatus.STATUS_SUCCEEDED
+    assert (result.error_code, result.error_text) == (result.NONE, "")
+    assert (result.plan.planner, result.plan.budget) == ("lawnmower", 700.0)
+    assert list(result.plan.start) == [-250.0, -200.0]
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the published plan")
+    assert suite.operator.plan == result.plan
+
+
+def test_errors_are_numbered_and_say_what_to_do(suite, mixture_file) -> None:
+    suite.start_planner()
+    asker = Asker(suite)
+    result = asker.ask()
+    assert result.error_code == result.NO_MAP
+    assert "pdm_server" in result.error_text
+    assert asker.status == GoalStatus.STATUS_ABORTED
+    suite.start_map(mixture_file)
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    good = suite.operator.plan
+    for goal, code, words in (
+        ({"planner": "gredy"}, result.UNKNOWN_PLANNER, "greedy"),
+        ({"budget": -5.0}, result.INVALID_REQUEST, "max_distance"),
+        ({"budget": float("nan")}, result.INVALID_REQUEST, "max_distance"),
+        ({"use_start": True, "start": [1e6, 0.0]}, result.INVALID_REQUEST, "outside"),
+        ({"use_start": True, "start": [float("inf"), 0.0]}, result.INVALID_REQUEST, "finite"),
+        ({"planner": "greedy", "time_budget": 1.0}, result.INVALID_REQUEST, "time budget"),
+        ({"planner": "lookahead", "time_budget": -1.0}, result.INVALID_REQUEST, "time_budget"),
+    ):
+        answer = asker.ask(**goal)
+        assert answer.error_code == code, (goal, answer.error_text)
+        assert words in answer.error_text, (goal, answer.error_text)
+    time.sleep(0.2)
+    assert suite.operator.plan == good
+
+
+def test_feedback_then_cancel_returns_the_best_so_far(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner("greedy")
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    good = suite.operator.plan
+    asker = Asker(suite)
+    asker.send(planner="lookahead", time_budget=60.0)
+    suite.wait(lambda: len(asker.feedback) >= 3, "feedback")
+    assert [f.elapsed for f in asker.feedback] == sorted(f.elapsed for f in asker.feedback)
+    best = asker.feedback[-1].probability_efficiency
+    began = time.monotonic()
+    asker.handle.cancel_goal_async()
+    result = asker.result()
+    assert time.monotonic() - began < 5.0  # of a minute
+    assert asker.status == GoalStatus.STATUS_CANCELED
+    assert result.error_code == result.CANCELED
+    assert result.plan.probability_efficiency >= best - 0.02
+    assert suite.operator.plan == good  # a cancelled plan is not published
+
+
+def test_a_new_map_ends_planning_on_the_old_one(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner("greedy")
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    asker = Asker(suite)
+    asker.send(planner="lookahead", time_budget=60.0)
+    suite.wait(lambda: asker.feedback, "feedback")
+    publisher = suite.operator.node.create_publisher(ProbabilityMap, "pdm", LATCHED)
+    suite.wait(lambda: publisher.get_subscription_count() >= 2, "the planner's subscription")
+    newer = copy.deepcopy(suite.operator.map)
+    newer.id, newer.header.stamp.sec = "newer", newer.header.stamp.sec + 1
+    publisher.publish(newer)
+    result = asker.result()
+    assert result.error_code == result.MAP_CHANGED
+    suite.wait(lambda: suite.operator.plan.map_id == "newer", "the plan of the new map")
+
+
+@pytest.mark.parametrize(
+    "planner",
+    [
+        "lawnmower",
+        "lhc_gw_conv",
+        "expanding_square",
+        "sector",
+        "creeping_line",
+        "greedy",
+        "lookahead",
+    ],
+)
+def test_every_planner_can_be_asked_for_by_name(suite, mixture_file, planner: str) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner(planner)
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, f"the plan of {planner}")
+    plan = suite.operator.plan
+    assert plan.planner == planner
+    assert 0.0 < plan.probability_efficiency <= plan.upper_bound
+    assert plan.length <= plan.budget + 1e-6

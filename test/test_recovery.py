@@ -1,0 +1,123 @@
+"""Nodes that die and come back, maps that are replaced while the suite runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.transform import from_origin
+
+from wisar_msgs.srv import LoadPdm
+
+
+def test_a_killed_planner_that_is_restarted_plans_again(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    first = suite.operator.plan
+    suite.processes.kill("planner")
+    suite.operator.plan = None
+    suite.start_planner()
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the restarted planner's plan")
+    assert (suite.operator.plan.map_id, suite.operator.plan.x) == (first.map_id, first.x)
+
+
+def test_a_killed_map_server_leaves_the_planner_working(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.processes.kill("pdm_server")
+    suite.operator.plan = None
+    suite.start_map(mixture_file)
+    suite.wait(
+        lambda: suite.operator.map and suite.operator.plan, "the plan of the restarted server's map"
+    )
+
+
+def load(suite, path: Path):
+    client = suite.operator.node.create_client(LoadPdm, "load_pdm")
+    suite.wait(client.service_is_ready, "the load_pdm service")
+    future = client.call_async(LoadPdm.Request(path=str(path)))
+    suite.wait(future.done, "the answer of load_pdm")
+    return future.result()
+
+
+def test_load_pdm_replaces_the_map_and_the_plan_follows(suite, mixture_file, write_mixture) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    first = suite.operator.plan
+    answer = load(suite, write_mixture("moved.geojson", shift=150.0))
+    assert answer.success, answer.message
+    assert answer.map_id != first.map_id
+    suite.wait(lambda: suite.operator.map.id == answer.map_id, "the new map")
+    suite.wait(lambda: suite.operator.plan.map_id == answer.map_id, "the plan of the new map")
+
+
+def test_load_pdm_takes_a_raster_in_degrees(suite, tmp_path) -> None:
+    suite.start("wisar_planner", "pdm_server")
+    path = tmp_path / "degrees.tif"
+    rows, columns = np.mgrid[0:60, 0:60]
+    values = np.exp(-((rows - 20) ** 2 + (columns - 35) ** 2) / 80.0).astype(np.float32)
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=60,
+        height=60,
+        count=1,
+        dtype="float32",
+        crs="EPSG:4326",
+        transform=from_origin(-5.0, 56.8, 0.0002, 0.0001),
+    ) as raster:
+        raster.write(values, 1)
+    answer = load(suite, path)
+    assert answer.success, answer.message
+    assert "total variation" in answer.message
+    suite.wait(lambda: suite.operator.map, "the map")
+    origin = suite.operator.map.origin
+    assert abs(origin.latitude - 56.797) < 1e-6
+    assert abs(origin.longitude - -4.994) < 1e-6
+
+
+def test_a_file_that_is_no_map_is_refused_and_the_map_stays(suite, mixture_file, tmp_path) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    good_map, good_plan = suite.operator.map, suite.operator.plan
+    corrupt = tmp_path / "corrupt.tif"
+    corrupt.write_bytes(b"II*\0 this is no raster")
+    without_crs = tmp_path / "without_crs.tif"
+    with rasterio.open(
+        without_crs,
+        "w",
+        driver="GTiff",
+        width=8,
+        height=8,
+        count=1,
+        dtype="float32",
+        transform=from_origin(0, 0, 10, 10),
+    ) as raster:
+        raster.write(np.ones((8, 8), np.float32), 1)
+    nan_mixture = tmp_path / "nan.yaml"
+    nan_mixture.write_text(mixture_file.read_text().replace("0.6", ".nan", 1))
+    for path, words in (
+        (tmp_path / "missing.tif", "missing.tif"),
+        (corrupt, "corrupt.tif"),
+        (without_crs, "coordinate reference system"),
+        (nan_mixture, "nan.yaml"),
+        (tmp_path / "map.docx", "map.docx"),
+    ):
+        answer = load(suite, path)
+        assert not answer.success, path
+        assert words in answer.message, answer.message
+    assert "Traceback" not in suite.log("pdm_server")
+    assert (suite.operator.map, suite.operator.plan) == (good_map, good_plan)
+
+
+def test_a_map_server_with_a_wrong_map_ends_with_one_line(suite, tmp_path) -> None:
+    process = suite.start_map(tmp_path / "nowhere.tif")
+    assert process.wait(timeout=40) == 2
+    assert len(suite.log("pdm_server").strip().splitlines()) == 1
+    assert "nowhere.tif" in suite.log("pdm_server")

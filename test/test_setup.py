@@ -1,0 +1,115 @@
+"""What this machine lacks is said in one line, and a ROS 2 installation is recognised."""
+
+from __future__ import annotations
+
+import importlib.util
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def setup(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    path = ROOT / "scripts" / "setup_environment.py"
+    spec = importlib.util.spec_from_file_location("setup_environment", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name in ("AMENT_PREFIX_PATH", "ROS_DISTRO", "CXX"):
+        monkeypatch.delenv(name, raising=False)
+    return module
+
+
+def ros_prefix(folder: Path) -> Path:
+    marker = folder / "share" / "ament_index" / "resource_index" / "packages" / "rcl_interfaces"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    return folder
+
+
+def test_this_machine_will_do(setup: ModuleType) -> None:
+    setup.check_machine()
+
+
+def test_a_missing_compiler_is_named(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_: None)
+    with pytest.raises(setup.SetupError, match=r"no C\+\+ compiler.*apt install g\+\+"):
+        setup.check_machine()
+
+
+@pytest.mark.parametrize("version", [(3, 9, 0), (3, 14, 0)])
+def test_an_unsupported_python_is_named(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int]
+) -> None:
+    monkeypatch.setattr(sys, "version_info", version)
+    with pytest.raises(setup.SetupError, match=rf"Python 3\.{version[1]} is not supported"):
+        setup.check_machine()
+
+
+def test_an_unsupported_processor_is_named(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    with pytest.raises(setup.SetupError, match=r"aarch64: install ROS 2 Jazzy"):
+        setup.check_machine()
+
+
+def test_a_sourced_jazzy_is_used(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert not setup.ros_is_sourced()
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'overlay'}:{ros_prefix(tmp_path)}")
+    assert setup.ros_is_sourced()
+    # Then the processor does not matter: the wheels are not needed.
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    setup.check_machine()
+
+
+def test_another_distribution_is_refused(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "humble")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(ros_prefix(tmp_path)))
+    with pytest.raises(setup.SetupError, match="ROS 2 humble is sourced, wisar needs Jazzy"):
+        setup.check_machine()
+
+
+def test_our_own_environment_is_no_installation(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{ROOT / '.venv'}:{ROOT / 'install'}:{tmp_path}")
+    assert not setup.ros_is_sourced()
+
+
+def test_lock_files_pin_hashes_and_name_no_address() -> None:
+    for path in ROOT.glob("requirements*.txt"):
+        text = path.read_text()
+        assert "://" not in text
+        assert "--hash=sha256:" in text
+        for line in text.splitlines():
+            assert line.startswith((" ", "#")) or "==" in line, f"{path.name}: {line}"
+
+
+def test_env_sh_works_in_a_clean_shell() -> None:
+    command = (
+        f". {ROOT}/env.sh && . {ROOT}/env.sh && wisar --version && "
+        'python -c "import wisar_msgs.msg" && echo $ROS_AUTOMATIC_DISCOVERY_RANGE && '
+        'ls "$WISAR_PREFIX/lib/wisar_planner/planner" && echo "$PATH"'
+    )
+    done = subprocess.run(
+        ["bash", "--norc", "-c", command],
+        env={"PATH": "/usr/bin:/bin", "HOME": "/nonexistent"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "LOCALHOST" in done.stdout
+    assert done.stdout.splitlines()[-1].count(".venv/bin") == 1  # sourced twice, set once
