@@ -26,12 +26,21 @@ class Asker:
         self._result = None
 
     def send(self, **goal: object) -> None:
-        future = self._client.send_goal_async(
-            PlanSearch.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
-        )
-        self._suite.wait(future.done, "the goal's acceptance")
-        self.handle = future.result()
-        self._result = self.handle.get_result_async()
+        self.handle = self._begun(
+            lambda: self._client.send_goal_async(
+                PlanSearch.Goal(**goal), lambda m: self.feedback.append(m.feedback)
+            ),
+            "the goal's acceptance",
+        ).result()
+        self._result = self._begun(lambda: self.handle.get_result_async())
+
+    def _begun(self, request, answer: str = ""):
+        """Make a request on the operator's thread; return its future, done if `answer` is named."""
+        task = self._suite.operator.run(request)
+        self._suite.wait(task.done, "the request")
+        if answer:
+            self._suite.wait(task.result().done, answer)
+        return task.result()
 
     def ask(self, **goal: object):
         """Send a goal and return its result."""

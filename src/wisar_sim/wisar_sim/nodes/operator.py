@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
@@ -89,11 +90,23 @@ class Operator:
     def request_upload(self, map_id: str = "") -> None:
         """Ask the bridge to upload the last plan; `upload_result` is set when it has ended."""
         self.upload_feedback = self.upload_result = None
-        future = self._upload.send_goal_async(
-            UploadMission.Goal(map_id=map_id),
-            feedback_callback=lambda m: setattr(self, "upload_feedback", m.feedback),
-        )
-        future.add_done_callback(self._on_goal_answer)
+
+        def send() -> None:
+            future = self._upload.send_goal_async(
+                UploadMission.Goal(map_id=map_id),
+                feedback_callback=lambda m: setattr(self, "upload_feedback", m.feedback),
+            )
+            future.add_done_callback(self._on_goal_answer)
+
+        self.run(send)
+
+    def run(self, function: Callable[[], Any]) -> Future:
+        """Run a function on the operator's own thread; return the future of its result.
+
+        Action clients must be used there: they note a request after they have sent it, and drop
+        an answer that another thread reads in between.
+        """
+        return self._executor.create_task(function)
 
     def _on_goal_answer(self, future: Future) -> None:
         handle = future.result()
