@@ -3,10 +3,10 @@ PYTHON ?= python3
 ENV := . ./env.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench lock clean
+.PHONY: help setup demo test train train-setup lint bench lock clean
 
 help: ## show this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1	/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1	/' | expand -t 20
 
 setup: ## create what is missing of the environment and build the packages
 	@$(PYTHON) scripts/setup_environment.py
@@ -14,10 +14,16 @@ setup: ## create what is missing of the environment and build the packages
 demo: setup ## map -> plan -> simulated flight -> mission upload, with a report in out/demo/
 	@bash -c '$(ENV) && exec python scripts/demo.py $(DEMO)'
 
-test: setup ## run all tests
+test: train-setup ## run all tests
 	@bash -c '$(ENV) && exec python -m pytest -n 2 --dist worksteal $(TESTS)'
 
-lint: setup ## ruff and the type checker
+train-setup: ## setup, and PyTorch for training (planning does without)
+	@$(PYTHON) scripts/setup_environment.py --train
+
+train: train-setup ## train the shipped policy anew (TRAIN="config/sac.yaml --seed 1" for another)
+	@bash -c '$(ENV) && exec wisar train $(or $(TRAIN),config/sac.yaml)'
+
+lint: train-setup ## ruff and the type checker
 	@bash -c '$(ENV) && ruff check . && ruff format --check . && mypy src scripts'
 
 bench: ## the benchmark against the named peers (BENCH="--only search" for a part)

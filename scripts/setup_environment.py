@@ -44,12 +44,15 @@ def main() -> int:
     """Run the stages; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bench", action="store_true", help="also install the benchmark's peers")
+    parser.add_argument("--train", action="store_true", help="also install what training needs")
     arguments = parser.parse_args()
     try:
         check_machine()
         create_environment()
         if arguments.bench:
             install_benchmark_peers()
+        if arguments.train:
+            install_extra("train", "PyTorch and what else training needs (5 GB)")
         build_packages()
         compile_kernels()
     except SetupError as error:
@@ -145,10 +148,15 @@ def install_benchmark_peers() -> None:
     if sys.version_info[:2] > (3, 12):
         announce("libjpathgen has no wheel for this Python: its benchmark row stays without a peer")
         return
-    lock = ROOT / "requirements-bench.txt"
-    stamp = VENV / ".wisar-bench-stamp"
+    install_extra("bench", "the benchmark's peers")
+
+
+def install_extra(name: str, what: str) -> None:
+    """Install the packages of requirements-NAME.txt."""
+    lock = ROOT / f"requirements-{name}.txt"
+    stamp = VENV / f".wisar-{name}-stamp"
     if not is_current(stamp, key := digest([lock])):
-        announce("installing the benchmark's peers")
+        announce(f"installing {what}")
         install_locked(lock)
         stamp.write_text(key)
 
@@ -190,7 +198,8 @@ def build_packages() -> None:
     """Build the three packages with colcon into one prefix, install/."""
     sources = sorted(
         path
-        for path in [*(ROOT / "src").rglob("*"), *(ROOT / "config").rglob("*")]
+        for folder in ("src", "config", "models")
+        for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and "test" not in path.parts
     )
     key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))

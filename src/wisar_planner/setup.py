@@ -12,6 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.launch.py")))),
+        (f"share/{NAME}/models", sorted(map(str, Path("../../models").glob("sac*.*")))),
         (f"share/{NAME}/config", sorted(map(str, Path("../../config").glob("*.yaml")))),
     ],
     zip_safe=False,

@@ -77,8 +77,8 @@ class Option:
     name : str
         Name of the option and of the planner's field.
     type : type
-        bool, int or float.
-    default : bool, int or float
+        bool, int, float or str.
+    default : bool, int, float or str
         Value unless given.
     help : str
         What it means, with its unit.
@@ -105,6 +105,10 @@ class Option:
             if not isinstance(value, bool):
                 raise InvalidInput(f"{self.name} must be true or false, not {value!r}")
             return value
+        if self.type is str:
+            if not (isinstance(value, str) and value):
+                raise InvalidInput(f"{self.name} must be a text that is not empty, not {value!r}")
+            return value
         try:
             number = self.type(value)
             same = not isinstance(value, bool | str) and number == value
@@ -121,7 +125,7 @@ class Option:
 
 
 def option(
-    default: bool | int | float,
+    default: bool | int | float | str,
     help_text: str,
     *,
     minimum: float | None = None,

@@ -39,8 +39,8 @@ _ARRIVALS = (math.nan, *(2.0 * math.pi * k / 8 for k in range(8)))
 _MOST_TARGETS = 6
 # Paths whose exact seen probability is compared in the end.
 _FINALISTS = 3
-# Share of the time that rollouts may take.
-_ROLLOUT_SHARE = 0.2
+# Share of the time that the first paths may take.
+FIRST_SHARE = 0.2
 
 
 class _Stage(NamedTuple):
@@ -60,7 +60,7 @@ _STAGES = (
 )
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """A path in cells, and its value with what early weight adds."""
 
     value: float
@@ -105,9 +105,9 @@ class Lookahead(OptionedPlanner):
         """Return the best path found in time; see `Planner.plan`."""
         if problem.steps == 0:
             return SearchPath(problem.start[None], problem.swath_radius, self.name)
-        monitor = _Monitor(problem, self._seconds, on_progress, should_stop)
+        monitor = Monitor(problem, self._seconds, on_progress, should_stop)
         raster = SearchRaster(problem, COARSE)
-        found = self._rollouts(problem, raster, monitor)
+        found = self._first_paths(problem, raster, monitor)
         if not found:
             # No whole step stays inside the area everywhere: the greedy planner takes shorter ones.
             path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)
@@ -138,7 +138,7 @@ class Lookahead(OptionedPlanner):
                     early_weight=self.early_weight,
                 )  # fmt: skip
                 for now in run:
-                    found[i] = _Found(now.value, now.points)
+                    found[i] = Found(now.value, now.points)
                     monitor.report(now.probability, until - (1.0 - now.fraction) * share)
                     if monitor.stopped():
                         break
@@ -155,9 +155,9 @@ class Lookahead(OptionedPlanner):
     def _seconds(self) -> float:
         return self.time_budget_s if self._timed else math.inf
 
-    def _rollouts(
-        self, problem: SearchProblem, raster: SearchRaster, monitor: _Monitor
-    ) -> list[_Found]:
+    def _first_paths(
+        self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
+    ) -> list[Found]:
         """Return rollouts, all of them or what the time allows; the likeliest kinds come first."""
         blocks, block_cells, targets = _blocks(problem, raster)
         start = raster.to_cells(problem.start)
@@ -171,14 +171,14 @@ class Lookahead(OptionedPlanner):
                 raster.step, blocks, block_cells, target, arrival, hug, _HEADINGS, points, tally,
             )  # fmt: skip
             if complete:
-                found.append(_Found(path_value(tally, self.early_weight), points))
+                found.append(Found(path_value(tally, self.early_weight), points))
                 monitor.report(tally[-1] * raster.unit, 0.0)
-            if monitor.stopped() or monitor.spent() > _ROLLOUT_SHARE:
+            if monitor.stopped() or monitor.spent() > FIRST_SHARE:
                 break
         return found
 
 
-class _Monitor:
+class Monitor:
     """The clock of a plan, the best it has to tell, and whether it was told to stop."""
 
     def __init__(
@@ -204,6 +204,11 @@ class _Monitor:
         """Return whether the plan was told to stop when it last reported."""
         return self._stopped
 
+    def asked_to_stop(self) -> bool:
+        """Ask whether to stop."""
+        self._stopped = self._should_stop is not None and self._should_stop()
+        return self._stopped
+
     def report(self, probability: float, fraction: float) -> None:
         """Tell the best so far and ask whether to stop."""
         self._best = max(self._best, probability)
@@ -212,7 +217,7 @@ class _Monitor:
             efficiency = self._best / self._probability_in_area
             elapsed = time.monotonic() - self._began
             self._on_progress(PlanProgress(elapsed, efficiency, None, fraction))
-        self._stopped = self._should_stop is not None and self._should_stop()
+        self.asked_to_stop()
 
 
 def _blocks(problem: SearchProblem, raster: SearchRaster) -> tuple[FloatArray, float, list[int]]:

@@ -18,6 +18,8 @@ _HOMES = {
     "creeping_line": ("creeping_line", "CreepingLine"),
     "greedy": ("greedy", "Greedy"),
     "lookahead": ("lookahead", "Lookahead"),
+    "sac": ("sac", "SacPolicy"),
+    "sac_search": ("sac_search", "SacSearch"),
 }
 
 

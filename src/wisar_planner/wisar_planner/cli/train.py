@@ -1,0 +1,113 @@
+"""`wisar train`: train a search policy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wisar_planner.training.run import TrainingRun, Validation
+
+_EXAMPLES = """\
+examples:
+  wisar train config/sac.yaml --out out/sac
+      the shipped policy; Ctrl-C and the same command again continues where it stopped
+  wisar train config/sac.yaml --seed 1 --steps 100000 --out out/quick --threads 1
+      another seed, shorter, on one core
+  wisar train config/sac.yaml --device cuda --out out/gpu
+      on a GPU
+  tensorboard --logdir out
+      the curves
+
+The best policy by validation is out/.../sac.safetensors with its card sac.json; plan with it by
+`wisar plan ... --planner sac --option model=out/sac/sac.safetensors`."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a search policy by soft actor-critic",
+        description="Train a search policy by soft actor-critic.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("config", type=Path, help="YAML file, for example config/sac.yaml")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the run (default: out/train/NAME-SEED)"
+    )
+    parser.add_argument("--seed", type=int, metavar="S", help="seed instead of the file's")
+    parser.add_argument("--steps", type=int, metavar="N", help="steps instead of the file's")
+    parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads (default: all cores)"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the learning curve")
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, from the start or on from the folder's checkpoint."""
+    from wisar_planner.errors import InvalidInput
+
+    try:
+        import torch
+    except ImportError:
+        raise InvalidInput(
+            "training needs PyTorch, which planning does not: run `make train-setup` first"
+        ) from None
+    from wisar_planner.training.config import read_config
+    from wisar_planner.training.run import TrainingRun
+
+    given = {"seed": args.seed, "steps": args.steps}
+    config = read_config(args.config, **{k: v for k, v in given.items() if v is not None})
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    try:
+        device = torch.device(args.device)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise InvalidInput(f"--device {args.device} is not to be had here: {reason}") from None
+    folder = args.out or Path("out/train") / f"{config.name}-{config.seed}"
+    training = TrainingRun(config, folder, device)
+    if (folder / "checkpoint.safetensors").exists():
+        training.load_checkpoint()
+        print(f"continuing {folder} at {training.steps:,} of {config.steps:,} steps")
+    _follow(training)
+    if args.json:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        curve = [vars(each) for each in training.validations]
+        args.json.write_text(json.dumps(curve, indent=1) + "\n", encoding="utf-8")
+    print(
+        f"best policy: {folder / config.name}.safetensors, {training.best_share:.1%} of the bound "
+        f"on the validation maps"
+    )
+    return 0
+
+
+def _follow(training: TrainingRun) -> None:
+    """Train with a progress bar and a line for each validation."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    console = Console(stderr=not sys.stdout.isatty(), highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("training", total=training.config.steps, completed=training.steps)
+        for result in training.train(lambda steps, _: bar.update(task, completed=steps)):
+            print(_line(result), flush=True)
+
+
+def _line(result: Validation) -> str:
+    figures = result.figures
+    detail = "".join(f"  {name} {value:.4g}" for name, value in figures.items())
+    rate = result.updates / max(result.seconds, 1e-9)
+    return (
+        f"{result.seconds / 60.0:6.1f} min  {result.steps:>9,} steps  {result.updates:>7,} updates "
+        f"({rate:.1f}/s)  e_p {result.efficiency:.4f}  of the bound {result.share:.4f}{detail}"
+    )

@@ -1,0 +1,81 @@
+"""The trained policy alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+from wisar_planner.planners.base import (
+    OnProgress,
+    OptionedPlanner,
+    PlanProgress,
+    ShouldStop,
+    option,
+)
+from wisar_planner.planners.greedy import Greedy
+from wisar_planner.policy.model import DEFAULT_MODEL, Model, find_model, load_model
+from wisar_planner.policy.rollout import Terrain, fly
+from wisar_planner.search.path import SearchPath
+from wisar_planner.search.problem import SearchProblem
+
+MODEL_HELP = "Trained policy: name of a shipped one, or path of a .safetensors file."
+
+
+@dataclass(frozen=True)
+class SacPolicy(OptionedPlanner):
+    """One flight of a policy trained by soft actor-critic (Haarnoja et al. 2018; Ewers et al. 2024).
+
+    At each step the most likely turn is flown. Where the policy finds no whole step that stays in
+    the area, the greedy planner plans.
+    """
+
+    name: ClassVar[str] = "sac"
+
+    model: str = option(DEFAULT_MODEL, MODEL_HELP)
+
+    def plan(
+        self,
+        problem: SearchProblem,
+        *,
+        on_progress: OnProgress | None = None,
+        should_stop: ShouldStop | None = None,
+    ) -> SearchPath:
+        """Return the policy's path; see `Planner.plan`."""
+        began = time.monotonic()
+        weights = trained_policy(self.model).weights
+        flown: list[bool] = []
+
+        def stop() -> bool:
+            if on_progress is not None:
+                fraction = len(flown) / max(1, problem.steps)
+                on_progress(PlanProgress(time.monotonic() - began, 0.0, None, fraction))
+            flown.append(True)
+            return should_stop is not None and should_stop()
+
+        waypoints, _ = fly(problem, Terrain.of(problem), weights, should_stop=stop)
+        path = SearchPath(waypoints[0], problem.swath_radius, self.name)
+        if len(path.waypoints) <= problem.steps and not (should_stop is not None and should_stop()):
+            path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)
+            return dataclasses.replace(path, planner=self.name)
+        return path
+
+
+def trained_policy(name: str) -> Model:
+    """Return the model of that name or path; read again when its file has changed.
+
+    Raises
+    ------
+    InvalidInput
+        See `find_model` and `load_model`.
+    """
+    path = find_model(name)
+    return _loaded(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _loaded(path: Path, _changed_ns: int) -> Model:
+    return load_model(path)

@@ -1,0 +1,73 @@
+"""The trained policy with search on top, within a time budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from wisar_planner.errors import FloatArray
+from wisar_planner.planners.base import option
+from wisar_planner.planners.lookahead import FIRST_SHARE, Found, Lookahead, Monitor
+from wisar_planner.planners.sac import MODEL_HELP, trained_policy
+from wisar_planner.planners.search_raster import SearchRaster
+from wisar_planner.planners.swath_kernels import ADD, PERIODS, REMOVE, paint_path, path_value
+from wisar_planner.policy.model import DEFAULT_MODEL
+from wisar_planner.policy.rollout import Terrain, fly
+from wisar_planner.search.problem import SearchProblem
+
+# Flights with random turns after the one with the most likely turns.
+_RANDOM_FLIGHTS = 32
+# Flights side by side.
+_BATCH = 16
+
+
+@dataclass(frozen=True)
+class SacSearch(Lookahead):
+    """Flights of the trained policy, refined by annealing.
+
+    First the policy flies its most likely turns, so that there is a good plan at once, then
+    flights with random turns. The best are refined as in `Lookahead`, which starts from greedy
+    rollouts instead.
+    """
+
+    name: ClassVar[str] = "sac_search"
+
+    model: str = option(DEFAULT_MODEL, MODEL_HELP)
+
+    def _first_paths(
+        self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
+    ) -> list[Found]:
+        """Return flights of the policy; greedy rollouts where it finds no way in the area."""
+        weights = trained_policy(self.model).weights
+        terrain = Terrain.of(problem)
+        rng = np.random.default_rng(self.seed)
+        found: list[Found] = []
+        flown = 0
+        while flown <= _RANDOM_FLIGHTS:
+            count = 1 if flown == 0 else min(_BATCH, terrain.most_searches)
+            paths, _ = fly(
+                problem, terrain, weights, count=count, rng=rng if flown else None,
+                should_stop=monitor.asked_to_stop if found else None,
+            )  # fmt: skip
+            flown += count
+            if paths.shape[1] <= problem.steps:
+                break
+            for path in paths:
+                each, probability = self._valued(raster, path)
+                found.append(each)
+                monitor.report(probability, 0.0)
+            if monitor.stopped() or monitor.spent() > FIRST_SHARE:
+                break
+        return found or super()._first_paths(problem, raster, monitor)
+
+    def _valued(self, raster: SearchRaster, path: FloatArray) -> tuple[Found, float]:
+        """Return a path in metres with its value on the raster, and the probability it sees."""
+        points = raster.to_cells(path)
+        tally = np.zeros(PERIODS, np.int64)
+        arguments = (raster.counts, raster.weights, points, 0, len(points) - 1, raster.radius)
+        paint_path(*arguments, ADD, tally)
+        value, probability = path_value(tally, self.early_weight), tally[-1] * raster.unit
+        paint_path(*arguments, REMOVE, tally)
+        return Found(value, points), probability

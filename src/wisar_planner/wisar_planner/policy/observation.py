@@ -1,0 +1,166 @@
+"""What the policy observes: the unseen map from the drone's seat, and a few numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace, device
+
+from wisar_planner.policy.unseen_map import RATIO, Array, UnseenMap
+
+#: Changes with every change of what follows; a model serves only the version it was trained on.
+VERSION = 1
+
+#: Directions of the view, evenly spaced, counted from the last heading to the left.
+DIRECTIONS = 32
+#: Distances of the view in steps, growing geometrically.
+DISTANCES = np.geomspace(0.25, 25.0, 16)
+#: Columns of `Observation.view` and `Observation.numbers`.
+VIEW_WIDTH = len(DISTANCES) + 1
+NUMBERS = 8
+
+# Distances, in steps, from which the middle and the coarse raster are read.
+_MIDDLE_FROM, _COARSE_FROM = 1.5, 6.0
+# Points per step, along and across, that its gain is taken from.
+_ALONG, _ACROSS = 8, 6
+_BRIGHTEST = 4.0
+
+
+class Observation(NamedTuple):
+    """What B searches show.
+
+    Attributes
+    ----------
+    view : (B, DIRECTIONS, VIEW_WIDTH) float32
+        For each direction from the last heading on: unseen density at `DISTANCES`, then the mean
+        unseen density of the ground that a step in this direction would newly sweep. In units of
+        the reference density, see `reference_density`; -0.25 outside the area.
+    numbers : (B, NUMBERS) float32
+        Steps left (seen on four scales), swath radius in steps, greatest unseen density on the
+        middle and on the coarse raster, and whether no step has been flown yet... see `observe`.
+    """
+
+    view: Array
+    numbers: Array
+
+
+def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Array) -> Observation:
+    """Return what searches show.
+
+    Parameters
+    ----------
+    unseen : UnseenMap
+        Unseen density in units of the reference density.
+    position : (B, 2) float32
+        Where the drones are, in cells.
+    heading : (B,) float32
+        Their last headings, rad.
+    steps_left : (B,) float32
+        Steps that they have left.
+    """
+    xp = array_namespace(position)
+    where = device(position)
+
+    def constant(value: Any) -> Array:
+        return xp.asarray(np.asarray(value, dtype=np.float32), device=where)
+
+    angles = heading[:, None] + constant(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
+    unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
+    parts = []
+    for level, (low, high) in enumerate(
+        ((0.0, _MIDDLE_FROM), (_MIDDLE_FROM, _COARSE_FROM), (_COARSE_FROM, math.inf))
+    ):
+        distances = DISTANCES[(low <= DISTANCES) & (high > DISTANCES)]
+        reach = unseen.step[:, None] * constant(distances)  # (B, R)
+        points = position[:, None, None, :] + unit[:, :, None, :] * reach[:, None, :, None]
+        parts.append(unseen.interpolated(level, points))
+    parts.append(step_gains(unseen, position, unit)[..., None])
+    view = xp.minimum(xp.concat(parts, axis=-1), _BRIGHTEST)
+    middle, coarse = (xp.max(level, axis=(1, 2)) for level in unseen.levels[1:])
+    numbers = xp.stack(
+        [
+            xp.exp(-steps_left / 2.0),
+            xp.exp(-steps_left / 8.0),
+            xp.exp(-steps_left / 32.0),
+            xp.exp(-steps_left / 128.0),
+            xp.log(steps_left) / 4.0,
+            unseen.radius / unseen.step,
+            xp.minimum(middle, _BRIGHTEST),
+            xp.minimum(coarse, _BRIGHTEST),
+        ],
+        axis=-1,
+    )
+    return Observation(view, numbers)
+
+
+def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:
+    """Return the mean unseen density of what steps would newly sweep, (B, D).
+
+    What is within the swath radius of the position counts as seen; the rest of the swath is
+    the disc's front half moved along the step, of area 2 x radius x step.
+
+    Parameters
+    ----------
+    unseen : UnseenMap
+        Unseen density.
+    position : (B, 2) float32
+        Where the steps begin, in cells.
+    unit : (B, D, 2) float32
+        Unit vectors of the steps.
+    """
+    xp = array_namespace(position)
+    where = device(position)
+    # Midpoints of a square grid on the swath before it is bent by the disc's front.
+    across = (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0).astype(np.float32)
+    along = ((np.arange(_ALONG) + 0.5) / _ALONG).astype(np.float32)
+    front = np.sqrt(1.0 - across**2)
+    u, v = (each.reshape(-1) for each in np.meshgrid(along, across, indexing="ij"))
+    w = np.broadcast_to(front, (_ALONG, _ACROSS)).reshape(-1)
+    u, v, w = (xp.asarray(np.ascontiguousarray(each), device=where) for each in (u, v, w))
+    ahead = (u * unseen.step[:, None] + w * unseen.radius[:, None])[:, None, :]
+    aside = (v * unseen.radius[:, None])[:, None, :]
+    x = position[:, 0, None, None] + ahead * unit[..., 0, None] - aside * unit[..., 1, None]
+    y = position[:, 1, None, None] + ahead * unit[..., 1, None] + aside * unit[..., 0, None]
+    density = unseen.nearest(xp.stack([x, y], axis=-1))
+    return xp.mean(xp.maximum(density, 0.0), axis=-1)
+
+
+def cells_per_step(radius: Array) -> Array:
+    """Return how many cells of the finest raster make a step.
+
+    Parameters
+    ----------
+    radius : float or (B,) array
+        Swath radius in steps.
+    """
+    # At least 8 per step and 2.5 per swath radius.
+    if isinstance(radius, float):
+        return max(8.0, 2.5 / radius)
+    xp = array_namespace(radius)
+    return xp.maximum(2.5 / radius, 8.0)
+
+
+def reference_density(unseen: UnseenMap, steps: Array) -> Array:
+    """Return the mean density of the most probable ground that fits into the swath, (B,).
+
+    The unit of density that makes maps of any shape and size alike: no search can gain more than
+    one unit per area swept on average.
+
+    Parameters
+    ----------
+    unseen : UnseenMap
+        Density in any unit, nothing seen yet.
+    steps : (B,) array
+        Steps that the budget allows.
+    """
+    xp = array_namespace(unseen.step)
+    middle = unseen.levels[1]
+    cells = xp.clip(middle.reshape((middle.shape[0], -1)), 0.0)
+    sorted_cells = xp.flip(xp.sort(cells, axis=1), axis=1)
+    sums = xp.cumulative_sum(sorted_cells, axis=1)
+    swept = 2.0 * unseen.radius * unseen.step * steps / RATIO**2
+    count = xp.clip(xp.astype(swept, xp.int64), 1, cells.shape[1])
+    search = xp.arange(middle.shape[0], device=device(middle))
+    return sums[search, count - 1] / xp.astype(count, sums.dtype)

@@ -1,0 +1,189 @@
+"""Whole searches flown by a policy on a problem's map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+
+from wisar_planner.errors import FloatArray
+from wisar_planner.pdm import Grid
+from wisar_planner.policy.heading import actor_distribution
+from wisar_planner.policy.model import Weights
+from wisar_planner.policy.network import forward
+from wisar_planner.policy.observation import (
+    cells_per_step,
+    observe,
+    reference_density,
+)
+from wisar_planner.policy.unseen_map import BLOCK, OUTSIDE, UnseenMap, margin, window_side
+from wisar_planner.search.problem import SearchProblem
+
+# Cells of the largest raster of one search; a wider search gets coarser cells.
+_MOST_CELLS = 1 << 22
+# Cells of the rasters of all searches that are flown side by side.
+_MOST_CELLS_TOGETHER = 1 << 23
+# Turns tried, nearest first, where a step would leave the area.
+_TURNS = np.array(
+    [(-1) ** k * math.ceil(k / 2) * 2.0 * math.pi / 32 for k in range(33)], dtype=np.float64
+)
+
+
+class Terrain(NamedTuple):
+    """A problem's map as the policy sees it before the first step.
+
+    Attributes
+    ----------
+    density : (1, rows, columns) float32
+        Density in units of the reference density.
+    grid : Grid
+        Where the cells lie.
+    step, radius : float
+        Step length and swath radius in cells.
+    heading : float
+        First heading, rad: towards the centre of what is to be seen.
+    """
+
+    density: npt.NDArray[np.float32]
+    grid: Grid
+    step: float
+    radius: float
+    heading: float
+
+    @classmethod
+    def of(cls, problem: SearchProblem) -> Terrain:
+        """Return the map of a problem, as far as its budget reaches."""
+        radius = problem.swath_radius / problem.step_length
+        xmin, ymin, xmax, ymax = problem.area.bounds
+        reach = problem.max_distance + problem.swath_radius
+        low = np.maximum((xmin, ymin), problem.start - reach)
+        high = np.minimum((xmax, ymax), problem.start + reach)
+        cell = max(
+            problem.step_length / cells_per_step(radius),
+            math.sqrt(math.prod(high - low) / _MOST_CELLS),
+        )
+        step, swath = problem.step_length / cell, problem.swath_radius / cell
+        edge = margin(step, swath)
+        window = window_side(step, swath)
+        columns, rows = (
+            BLOCK * math.ceil(max(length / cell + 2 * edge, window) / BLOCK)
+            for length in high - low
+        )
+        grid = Grid(low[0] - edge * cell, low[1] - edge * cell, cell, columns, rows)
+        density = np.asarray(problem.pdm.rasterize(grid), dtype=np.float32)
+        centres = grid.centres().reshape(-1, 2)
+        seen_from_inside = problem.area.polygon.buffer(problem.swath_radius)
+        shapely.prepare(seen_from_inside)
+        inside = shapely.contains_xy(seen_from_inside, *centres.T).reshape(density.shape)
+        density = np.where(inside, density, np.float32(OUTSIDE))
+        if not (mass := np.clip(density, 0.0, None)).any():
+            density = np.where(inside, np.float32(1.0), np.float32(OUTSIDE))
+            mass = np.clip(density, 0.0, None)
+        toward = mass.reshape(-1) @ centres / mass.sum(dtype=np.float64) - problem.start
+        single = (np.array([value], dtype=np.float32) for value in (step, swath))
+        fresh = UnseenMap(density[None].copy(), *single, window)
+        reference = reference_density(fresh, np.array([problem.steps], dtype=np.float32))
+        density = np.where(density >= 0.0, density / reference, density)
+        return cls(density[None], grid, step, swath, math.atan2(toward[1], toward[0]))
+
+    @property
+    def most_searches(self) -> int:
+        """How many searches fit side by side in memory."""
+        return max(1, _MOST_CELLS_TOGETHER // self.density.size)
+
+
+def fly(
+    problem: SearchProblem,
+    terrain: Terrain,
+    weights: Weights,
+    *,
+    count: int = 1,
+    rng: np.random.Generator | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Fly searches to the end of the budget.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        The problem.
+    terrain : Terrain
+        Its map.
+    weights : dict of str to float32 arrays
+        The actor's parameters.
+    count : int
+        Number of searches.
+    rng : numpy.random.Generator, optional
+        Source of randomness; without it the most likely turns are flown.
+    should_stop : callable, optional
+        Asked before each step; once it says True the searches end.
+
+    Returns
+    -------
+    waypoints : (count, N + 1, 2) float64
+        The paths in metres; shorter than the budget where a search found no whole step that stays
+        in the area, or was stopped.
+    gains : (count, N) float64
+        What each step newly saw, in steps over the most probable ground.
+    """
+    ones = np.ones(count, dtype=np.float32)
+    unseen = UnseenMap(
+        np.repeat(terrain.density, count, axis=0),
+        ones * np.float32(terrain.step),
+        ones * np.float32(terrain.radius),
+        window_side(terrain.step, terrain.radius),
+    )
+    origin = np.array([terrain.grid.x0, terrain.grid.y0])
+    position = np.repeat(problem.start[None], count, axis=0)
+    heading = np.full(count, terrain.heading)
+
+    def cells(points: FloatArray) -> npt.NDArray[np.float32]:
+        return ((points - origin) / terrain.grid.cell).astype(np.float32)
+
+    unseen.see(cells(position), cells(position))
+    waypoints, gains = [position], []
+    for flown in range(problem.steps):
+        if should_stop is not None and should_stop():
+            break
+        left = np.full(count, problem.steps - flown, dtype=np.float32)
+        seen = observe(unseen, cells(position), heading.astype(np.float32), left)
+        mean, log_std = actor_distribution(forward(weights, *seen)[0])
+        if rng is not None:
+            mean = mean + np.exp(log_std) * rng.standard_normal(count)
+        heading = heading + math.pi * np.tanh(mean.astype(np.float64))
+        end, heading, possible = _inside(problem, position, heading)
+        if not possible:
+            break
+        gains.append(
+            unseen.see(cells(position), cells(end)) / (2.0 * terrain.radius * terrain.step)
+        )
+        waypoints.append(end)
+        position = end
+    return np.stack(waypoints, axis=1), np.array(gains, dtype=np.float64).reshape(-1, count).T
+
+
+def _inside(
+    problem: SearchProblem, position: FloatArray, heading: FloatArray
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Return the ends and headings of steps, turned as little as keeps them in the area."""
+
+    def ends(headings: FloatArray, start: FloatArray) -> FloatArray:
+        unit = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+        return start + problem.step_length * unit
+
+    end, heading = ends(heading, position), heading.copy()
+    outside = np.flatnonzero(~problem.area.contains(end))
+    if len(outside) == 0:
+        return end, heading, True
+    turned = heading[outside, None] + _TURNS
+    candidates = ends(turned, position[outside, None, :])
+    allowed = problem.area.contains(candidates.reshape(-1, 2)).reshape(turned.shape)
+    first = allowed.argmax(axis=1)
+    rows = np.arange(len(outside))
+    heading[outside] = turned[rows, first]
+    end[outside] = candidates[rows, first]
+    return end, heading, bool(allowed.any(axis=1).all())

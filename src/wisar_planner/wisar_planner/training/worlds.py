@@ -1,0 +1,182 @@
+"""Random search worlds to learn from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from wisar_planner.policy import unseen_map
+from wisar_planner.policy.observation import cells_per_step
+from wisar_planner.policy.unseen_map import OUTSIDE, margin, window_side
+
+
+class Worlds(NamedTuple):
+    """Random worlds, lengths in cells of their rasters.
+
+    Attributes
+    ----------
+    density : (n, side, side) float32
+        Probability density, `OUTSIDE` beyond the area and the swath around it.
+    low, high : (n, 2) float32
+        Corners of the rectangular area.
+    start : (n, 2) float32
+        Where the drones start.
+    heading : (n,) float32
+        Their first headings, rad.
+    step, radius : (n,) float32
+        Step length and swath radius.
+    steps : (n,) float32
+        Steps that the budget allows.
+    """
+
+    density: Tensor
+    low: Tensor
+    high: Tensor
+    start: Tensor
+    heading: Tensor
+    step: Tensor
+    radius: Tensor
+    steps: Tensor
+
+
+@dataclass(frozen=True)
+class WorldDistribution:
+    """What random worlds look like. All lengths are in steps.
+
+    A share of the worlds has the paper's setup: 18.75 steps square, 4 Gaussians of a standard
+    deviation of 2.795 steps, a swath radius of 0.3125 steps, 64 steps. The others vary.
+
+    Parameters
+    ----------
+    paper_share : float
+        Share of worlds with the paper's setup.
+    sides : (float, float)
+        Shortest and longest side of the area.
+    modes : int
+        Most Gaussians; from 1 up.
+    deviations : (float, float)
+        Smallest and largest standard deviation along the axes of a Gaussian.
+    radii : (float, float)
+        Smallest and largest swath radius.
+    budgets : (int, int)
+        Fewest and most steps of the budget.
+    """
+
+    paper_share: float = 1.0
+    sides: tuple[float, float] = (10.0, 29.0)
+    modes: int = 16
+    deviations: tuple[float, float] = (0.8, 6.0)
+    radii: tuple[float, float] = (0.2, 0.6)
+    budgets: tuple[int, int] = (10, 160)
+
+    @property
+    def window(self) -> int:
+        """Side of the window that a step can touch, in cells."""
+        radii = [PAPER_RADIUS] if self.paper_share == 1.0 else [*self.radii, PAPER_RADIUS]
+        return max(window_side(c := cells_per_step(r), c * r) for r in radii)
+
+    @property
+    def side(self) -> int:
+        """Side of the rasters, in cells."""
+        widest = PAPER_SIDE if self.paper_share == 1.0 else max(self.sides[1], PAPER_SIDE)
+        cells = 8.0
+        needed = math.ceil(widest * cells) + 2 * margin(cells, cells * 0.6)
+        return unseen_map.BLOCK * math.ceil(needed / unseen_map.BLOCK)
+
+
+PAPER_SIDE = 150.0 / 8.0
+PAPER_DEVIATION = math.sqrt(500.0) / 8.0
+PAPER_RADIUS = 2.5 / 8.0
+PAPER_MODES, PAPER_STEPS = 4, 64
+
+
+def random_worlds(
+    count: int, distribution: WorldDistribution, generator: torch.Generator
+) -> Worlds:
+    """Return random worlds on the generator's device.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    distribution : WorldDistribution
+        What they look like.
+    generator : torch.Generator
+        Source of randomness.
+    """
+    d = distribution
+    where = generator.device
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(count, *shape, generator=generator, device=where)
+
+    def between(limits: tuple[float, float], *shape: int) -> Tensor:
+        """Return numbers whose logarithm is uniform."""
+        low, high = limits
+        return low * (high / low) ** uniform(*shape)
+
+    paper = uniform() < d.paper_share
+    radius = torch.where(paper, PAPER_RADIUS, between(d.radii))
+    cells = cells_per_step(radius)
+    edge = unseen_map.BLOCK + torch.ceil(cells * radius) + 2.0
+    room = (d.side - 2.0 * edge) / cells
+    sides = torch.minimum(between(d.sides, 2), room[:, None])
+    sides = torch.where(paper[:, None], PAPER_SIDE, sides)
+    steps = torch.where(paper, float(PAPER_STEPS), torch.floor(between(d.budgets)))
+    modes = torch.where(paper, PAPER_MODES, 1 + torch.floor(d.modes * uniform() ** 2).long())
+    most = PAPER_MODES if d.paper_share == 1.0 else d.modes
+    present = torch.arange(most, device=where) < modes[:, None]
+    weights = torch.where(paper[:, None], 1.0, -torch.log1p(-uniform(most)))
+    weights = torch.where(present, weights, 0.0)
+    means = uniform(most, 2) * sides[:, None, :]
+    deviations = between(d.deviations, most, 2)
+    deviations = torch.where(paper[:, None, None], PAPER_DEVIATION, deviations)
+    turn = math.pi * uniform(most)
+
+    # From steps to cells, with room around the area.
+    low = edge[:, None].expand(-1, 2)
+    high = low + sides * cells[:, None]
+    means = low[:, None, :] + means * cells[:, None, None]
+    deviations = deviations * cells[:, None, None]
+    density = _density(d.side, weights, means, deviations, turn)
+    centre = torch.arange(d.side, device=where) + 0.5
+    reach = (radius * cells)[:, None]
+    inside = [
+        (centre > low[:, axis, None] - reach) & (centre < high[:, axis, None] + reach)
+        for axis in (0, 1)
+    ]
+    density = torch.where(inside[1][:, :, None] & inside[0][:, None, :], density, OUTSIDE)
+    return Worlds(
+        density=density,
+        low=low.contiguous(),
+        high=high,
+        start=low + uniform(2) * (high - low),
+        heading=2.0 * math.pi * uniform(),
+        step=cells,
+        radius=radius * cells,
+        steps=steps,
+    )
+
+
+def _density(
+    side: int, weights: Tensor, means: Tensor, deviations: Tensor, turn: Tensor
+) -> Tensor:
+    """Return the density of mixtures at the centres of cells, (n, side, side)."""
+    centre = torch.arange(side, device=weights.device) + 0.5
+    density = torch.zeros(len(weights), side, side, device=weights.device)
+    cos, sin = torch.cos(turn), torch.sin(turn)
+    for k in range(weights.shape[1]):
+        if not bool((weights[:, k] > 0.0).any()):
+            continue
+        dx = (centre - means[:, k, 0, None])[:, None, :]
+        dy = (centre - means[:, k, 1, None])[:, :, None]
+        c, s = cos[:, k, None, None], sin[:, k, None, None]
+        u = (c * dx + s * dy) / deviations[:, k, 0, None, None]
+        v = (c * dy - s * dx) / deviations[:, k, 1, None, None]
+        norm = weights[:, k] / (deviations[:, k, 0] * deviations[:, k, 1])
+        density += norm[:, None, None] * torch.exp(-0.5 * (u * u + v * v))
+    return density
