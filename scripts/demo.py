@@ -95,7 +95,7 @@ def parse(arguments: list[str] | None) -> Settings:
     )
     parser.add_argument("--map", type=Path, help="probability map (made if not given)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "demo", help="results")
-    parser.add_argument("--planner", default="lookahead", help="name of the planner")
+    parser.add_argument("--planner", default="sac_search", help="name of the planner")
     parser.add_argument("--budget", type=float, default=8000.0, help="distance to fly, m")
     parser.add_argument("--swath-radius", type=float, default=25.0, help="half the swath, m")
     parser.add_argument("--step", type=float, default=50.0, help="between waypoints, m")

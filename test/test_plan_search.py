@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from wisar_msgs.action import PlanSearch
 from wisar_msgs.msg import ProbabilityMap
 from wisar_planner.nodes.qos import LATCHED
+from wisar_planner.planners import planner_names
 
 
 class Asker:
@@ -133,18 +134,7 @@ def test_a_new_map_ends_planning_on_the_old_one(suite, mixture_file) -> None:
     suite.wait(lambda: suite.operator.plan.map_id == "newer", "the plan of the new map")
 
 
-@pytest.mark.parametrize(
-    "planner",
-    [
-        "lawnmower",
-        "lhc_gw_conv",
-        "expanding_square",
-        "sector",
-        "creeping_line",
-        "greedy",
-        "lookahead",
-    ],
-)
+@pytest.mark.parametrize("planner", planner_names())
 def test_every_planner_can_be_asked_for_by_name(suite, mixture_file, planner: str) -> None:
     suite.start_map(mixture_file)
     suite.start_planner(planner)

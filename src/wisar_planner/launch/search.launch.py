@@ -1,6 +1,6 @@
 """Map, planner, simulated drone, bridge and simulated autopilot on one map.
 
-    ros2 launch wisar_planner search.launch.py map:=/path/to/map.tif planner:=lookahead
+    ros2 launch wisar_planner search.launch.py map:=/path/to/map.tif planner:=sac_search
     ros2 launch wisar_planner search.launch.py map:=... connection:=udpin:0.0.0.0:14550 sim:=false
 
 For people with ROS 2 installed; `make demo` does the same without the launch packages.
@@ -19,7 +19,7 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the processes and their arguments."""
     arguments = {
         "map": ("", "GeoTIFF, or GeoJSON or YAML mixture; empty: wait for load_pdm"),
-        "planner": ("lookahead", "name of the planner"),
+        "planner": ("sac_search", "name of the planner"),
         "swath_radius": ("25.0", "half the width of the strip that the camera sees, m"),
         "step_length": ("50.0", "distance between waypoints, m"),
         "max_distance": ("8000.0", "longest path, m"),

@@ -24,7 +24,7 @@ sees the most probability soonest."""
 _EXAMPLES = """\
 examples:
   wisar plan map.tif --start 56.117,-3.937 --budget 10000 --swath-radius 33 --step 64 \\
-      --planner lookahead --out plan.geojson
+      --planner sac_search --out plan.geojson
                                        plan 10 km over a probability map from a GIS
   wisar evaluate --planner lawnmower,greedy --runs 100 --figures out/figures
                                        compare planners on the paper's setup

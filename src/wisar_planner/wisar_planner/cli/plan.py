@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _EXAMPLES = """\
 examples:
   wisar plan map.tif --start 56.774,-5.001 --budget 10000 --swath-radius 33 --step 64 \\
-      --planner lookahead --out plan.geojson --out plan.plan --picture plan.png
+      --planner sac_search --out plan.geojson --out plan.plan --picture plan.png
       10 km over a raster from a GIS: the path for the GIS and for QGroundControl, and a picture
   wisar plan mixture.yaml --budget 512 --swath-radius 2.5 --step 8 --planner greedy
       the summary alone, from the middle of the area
@@ -83,7 +83,7 @@ def add_parser(subparsers: Any) -> None:
     )
     how = parser.add_argument_group("planner")
     how.add_argument(
-        "--planner", default="lookahead", metavar="NAME", help="(default: %(default)s)"
+        "--planner", default="sac_search", metavar="NAME", help="(default: %(default)s)"
     )
     how.add_argument(
         "--option",

@@ -85,7 +85,7 @@ class PlannerNode(Node):
 
     def _declare_parameters(self) -> None:
         names = ", ".join(planner_names())
-        parameters.declare(self, "planner", "lookahead", f"Planner to use, one of: {names}")
+        parameters.declare(self, "planner", "sac_search", f"Planner to use, one of: {names}")
         parameters.declare(
             self, "swath_radius", 2.5, "Half the width of the strip that is seen, m", minimum=0.01
         )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
+from wisar_planner.errors import FloatArray
 from wisar_planner.planners.base import (
     OnProgress,
     OptionedPlanner,
@@ -47,18 +49,21 @@ class SacPolicy(OptionedPlanner):
         """Return the policy's path; see `Planner.plan`."""
         began = time.monotonic()
         weights = trained_policy(self.model).weights
-        flown: list[bool] = []
+        steps = itertools.count(1)
+        stopped = False
 
-        def stop() -> bool:
+        def on_step(seen: FloatArray) -> bool:
+            nonlocal stopped
             if on_progress is not None:
-                fraction = len(flown) / max(1, problem.steps)
-                on_progress(PlanProgress(time.monotonic() - began, 0.0, None, fraction))
-            flown.append(True)
-            return should_stop is not None and should_stop()
+                elapsed, fraction = time.monotonic() - began, next(steps) / problem.steps
+                efficiency = float(seen[0]) / problem.probability_in_area
+                on_progress(PlanProgress(elapsed, efficiency, None, fraction))
+            stopped = should_stop is not None and should_stop()
+            return stopped
 
-        waypoints, _ = fly(problem, Terrain.of(problem), weights, should_stop=stop)
-        path = SearchPath(waypoints[0], problem.swath_radius, self.name)
-        if len(path.waypoints) <= problem.steps and not (should_stop is not None and should_stop()):
+        waypoints = fly(problem, Terrain.of(problem), weights, on_step=on_step)[0]
+        path = SearchPath(waypoints, problem.swath_radius, self.name)
+        if len(path.waypoints) <= problem.steps and not stopped:
             path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)
             return dataclasses.replace(path, planner=self.name)
         return path

@@ -47,9 +47,9 @@ class SacSearch(Lookahead):
         flown = 0
         while flown <= _RANDOM_FLIGHTS:
             count = 1 if flown == 0 else min(_BATCH, terrain.most_searches)
-            paths, _ = fly(
+            paths = fly(
                 problem, terrain, weights, count=count, rng=rng if flown else None,
-                should_stop=monitor.asked_to_stop if found else None,
+                on_step=(lambda _: monitor.asked_to_stop()) if found else None,
             )  # fmt: skip
             flown += count
             if paths.shape[1] <= problem.steps:

@@ -164,11 +164,15 @@ def _size(weights: Weights) -> dict[str, int]:
 
 def _check_weights(path: Path, weights: Weights, network: dict[str, Any]) -> None:
     """Raise where the weights are not those of a network of the card's size."""
-    size = {name: network.get(name) for name in ("channels", "blocks")}
+    size: dict[str, Any] = {name: network.get(name) for name in ("channels", "blocks")}
     if not all(isinstance(n, int) and 0 < n <= 4096 for n in size.values()):
         raise InvalidInput(f"model: the card of {path} gives no network size: {network}")
     expected = initial_parameters(
-        np.random.default_rng(0), networks=1, outputs=ACTOR_OUTPUTS, **size
+        np.random.default_rng(0),
+        networks=1,
+        outputs=ACTOR_OUTPUTS,
+        channels=size["channels"],
+        blocks=size["blocks"],
     )
     if weights.keys() != expected.keys():
         odd = sorted(weights.keys() ^ expected.keys())

@@ -83,18 +83,16 @@ def forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
     # Channels first, then searches and directions: every layer is one large matrix product.
     columns = xp.permute_dims(view, (2, 0, 1)).reshape((1, -1, batch * directions))
     row = xp.matmul(parameters["numbers"], numbers.T[None]) + parameters["bias"]
-    hidden = xp.matmul(parameters["view"], columns).reshape(
-        (networks, channels, batch, directions)
-    )
+    hidden = xp.matmul(parameters["view"], columns).reshape((networks, channels, batch, directions))
     hidden = _relu(xp, hidden + row[..., None]).reshape((networks, channels, -1))
     spread = xp.asarray(_SPREAD, device=device(view))
     for block in range(sum(name.startswith("ring") for name in parameters)):
         ring = xp.matmul(parameters[f"ring{block}"], spread).reshape(
             (networks, channels, directions, directions)
         )
-        turned = xp.matmul(
-            hidden.reshape((networks, channels, batch, directions)), ring
-        ).reshape((networks, channels, -1))
+        turned = xp.matmul(hidden.reshape((networks, channels, batch, directions)), ring).reshape(
+            (networks, channels, -1)
+        )
         mixed = xp.matmul(parameters[f"mix{block}"], turned) + parameters[f"bias{block}"]
         hidden = hidden + _relu(xp, mixed)
     output = xp.matmul(parameters["output"], hidden) + parameters["output_bias"]

@@ -38,8 +38,8 @@ class Observation(NamedTuple):
         unseen density of the ground that a step in this direction would newly sweep. In units of
         the reference density, see `reference_density`; -0.25 outside the area.
     numbers : (B, NUMBERS) float32
-        Steps left (seen on four scales), swath radius in steps, greatest unseen density on the
-        middle and on the coarse raster, and whether no step has been flown yet... see `observe`.
+        Steps left, on five scales; swath radius in steps; greatest unseen density on the middle and
+        on the coarse raster.
     """
 
     view: Array

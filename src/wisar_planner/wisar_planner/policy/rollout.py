@@ -46,6 +46,8 @@ class Terrain(NamedTuple):
         Step length and swath radius in cells.
     heading : float
         First heading, rad: towards the centre of what is to be seen.
+    unit : float
+        Probability that a step over ground of the reference density sees.
     """
 
     density: npt.NDArray[np.float32]
@@ -53,6 +55,7 @@ class Terrain(NamedTuple):
     step: float
     radius: float
     heading: float
+    unit: float
 
     @classmethod
     def of(cls, problem: SearchProblem) -> Terrain:
@@ -84,11 +87,12 @@ class Terrain(NamedTuple):
             density = np.where(inside, np.float32(1.0), np.float32(OUTSIDE))
             mass = np.clip(density, 0.0, None)
         toward = mass.reshape(-1) @ centres / mass.sum(dtype=np.float64) - problem.start
-        single = (np.array([value], dtype=np.float32) for value in (step, swath))
-        fresh = UnseenMap(density[None].copy(), *single, window)
+        single = [np.array([value], dtype=np.float32) for value in (step, swath)]
+        fresh = UnseenMap(density[None].copy(), single[0], single[1], window)
         reference = reference_density(fresh, np.array([problem.steps], dtype=np.float32))
         density = np.where(density >= 0.0, density / reference, density)
-        return cls(density[None], grid, step, swath, math.atan2(toward[1], toward[0]))
+        unit = 2.0 * swath * step * float(reference[0])
+        return cls(density[None], grid, step, swath, math.atan2(toward[1], toward[0]), unit)
 
     @property
     def most_searches(self) -> int:
@@ -103,8 +107,8 @@ def fly(
     *,
     count: int = 1,
     rng: np.random.Generator | None = None,
-    should_stop: Callable[[], bool] | None = None,
-) -> tuple[FloatArray, FloatArray]:
+    on_step: Callable[[FloatArray], bool] | None = None,
+) -> FloatArray:
     """Fly searches to the end of the budget.
 
     Parameters
@@ -119,16 +123,15 @@ def fly(
         Number of searches.
     rng : numpy.random.Generator, optional
         Source of randomness; without it the most likely turns are flown.
-    should_stop : callable, optional
-        Asked before each step; once it says True the searches end.
+    on_step : callable, optional
+        Told after each step the probability that each search has seen, (count,); once it says
+        True the searches end.
 
     Returns
     -------
-    waypoints : (count, N + 1, 2) float64
+    (count, N + 1, 2) float64
         The paths in metres; shorter than the budget where a search found no whole step that stays
         in the area, or was stopped.
-    gains : (count, N) float64
-        What each step newly saw, in steps over the most probable ground.
     """
     ones = np.ones(count, dtype=np.float32)
     unseen = UnseenMap(
@@ -144,26 +147,25 @@ def fly(
     def cells(points: FloatArray) -> npt.NDArray[np.float32]:
         return ((points - origin) / terrain.grid.cell).astype(np.float32)
 
-    unseen.see(cells(position), cells(position))
-    waypoints, gains = [position], []
+    swath = 2.0 * terrain.radius * terrain.step
+    seen = unseen.see(cells(position), cells(position)) * (terrain.unit / swath)
+    waypoints = [position]
     for flown in range(problem.steps):
-        if should_stop is not None and should_stop():
-            break
         left = np.full(count, problem.steps - flown, dtype=np.float32)
-        seen = observe(unseen, cells(position), heading.astype(np.float32), left)
-        mean, log_std = actor_distribution(forward(weights, *seen)[0])
+        shown = observe(unseen, cells(position), heading.astype(np.float32), left)
+        mean, log_std = actor_distribution(forward(weights, *shown)[0])
         if rng is not None:
             mean = mean + np.exp(log_std) * rng.standard_normal(count)
         heading = heading + math.pi * np.tanh(mean.astype(np.float64))
         end, heading, possible = _inside(problem, position, heading)
         if not possible:
             break
-        gains.append(
-            unseen.see(cells(position), cells(end)) / (2.0 * terrain.radius * terrain.step)
-        )
+        seen = seen + unseen.see(cells(position), cells(end)) * (terrain.unit / swath)
         waypoints.append(end)
         position = end
-    return np.stack(waypoints, axis=1), np.array(gains, dtype=np.float64).reshape(-1, count).T
+        if on_step is not None and on_step(seen):
+            break
+    return np.stack(waypoints, axis=1)
 
 
 def _inside(

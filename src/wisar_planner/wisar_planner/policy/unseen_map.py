@@ -47,7 +47,9 @@ class UnseenMap:
         for _ in range(1, LEVELS):
             self.levels.append(_block_mean(xp, self.levels[-1]))
         # Where the last flight of each search began; NaN before the first.
-        self._before = xp.full((density.shape[0], 2), math.nan, dtype=step.dtype, device=device(step))
+        self._before = xp.full(
+            (density.shape[0], 2), math.nan, dtype=step.dtype, device=device(step)
+        )
         self._searches = xp.arange(density.shape[0], device=device(density))
         self._side = xp.arange(window, device=device(density))
 

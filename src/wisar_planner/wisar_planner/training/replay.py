@@ -55,9 +55,7 @@ class Replay:
         self._rows = capacity // searches
         self._searches, self._n_step, self._gamma = searches, n_step, gamma
         shape = (self._rows, searches)
-        self._view = torch.zeros(
-            *shape, DIRECTIONS, VIEW_WIDTH, dtype=torch.float16, device=device
-        )
+        self._view = torch.zeros(*shape, DIRECTIONS, VIEW_WIDTH, dtype=torch.float16, device=device)
         self._numbers = torch.zeros(*shape, NUMBERS, device=device)
         self._action = torch.zeros(shape, device=device)
         self._reward = torch.zeros(shape, device=device)
@@ -90,13 +88,9 @@ class Replay:
         """Return random transitions, half of them mirrored left to right."""
         device = self._action.device
         kept = min(self.added, self._rows)
-        age = torch.randint(
-            self._n_step, kept, (size,), generator=generator, device=device
-        )
+        age = torch.randint(self._n_step, kept, (size,), generator=generator, device=device)
         first = (self.added - 1 - age) % self._rows
-        search = torch.randint(
-            self._searches, (size,), generator=generator, device=device
-        )
+        search = torch.randint(self._searches, (size,), generator=generator, device=device)
         reward = torch.zeros(size, device=device)
         discount = torch.ones(size, device=device)
         for i in range(self._n_step):

@@ -83,9 +83,7 @@ class TrainingRun:
         self.best_share = 0.0
         self.validations: list[Validation] = []
 
-    def train(
-        self, on_progress: Callable[[int, int], None] | None = None
-    ) -> Iterator[Validation]:
+    def train(self, on_progress: Callable[[int, int], None] | None = None) -> Iterator[Validation]:
         """Train to the end, or on from where a checkpoint was.
 
         Parameters
@@ -101,7 +99,7 @@ class TrainingRun:
         """
         c = self.config
         self.folder.mkdir(parents=True, exist_ok=True)
-        with SummaryWriter(str(self.folder), purge_step=self.steps) as log:  # type: ignore[no-untyped-call]
+        with SummaryWriter(str(self.folder), purge_step=self.steps) as log:
             observation = self.environment.observe()
             figures: dict[str, list[Tensor]] = {}
             owed = 0.0
@@ -125,9 +123,11 @@ class TrainingRun:
                         figures.setdefault(name, []).append(value)
                 if on_progress is not None:
                     on_progress(self.steps, self.updates)
-                if self.steps // c.validation_every != (
-                    self.steps - c.environments
-                ) // c.validation_every or self.steps >= c.steps:
+                if (
+                    self.steps // c.validation_every
+                    != (self.steps - c.environments) // c.validation_every
+                    or self.steps >= c.steps
+                ):
                     self.seconds += time.monotonic() - began
                     means = {
                         name: float(torch.stack(values).mean()) for name, values in figures.items()
@@ -148,9 +148,7 @@ class TrainingRun:
         )
 
     def _uniform(self) -> Tensor:
-        return torch.rand(
-            self.config.environments, generator=self.generator, device=self.device
-        )
+        return torch.rand(self.config.environments, generator=self.generator, device=self.device)
 
     def _validated(self, log: SummaryWriter, figures: dict[str, float]) -> Validation:
         efficiency, share = validate(self.sac, self.config.validation_maps, self.device)
@@ -161,7 +159,7 @@ class TrainingRun:
             ("validation/share_of_bound", share),
             *((f"training/{name}", value) for name, value in figures.items()),
         ):
-            log.add_scalar(name, value, self.steps)  # type: ignore[no-untyped-call]
+            log.add_scalar(name, value, self.steps)
         if share > self.best_share:
             self.best_share = share
             weights = {name: value.detach().cpu().numpy() for name, value in self.sac.actor.items()}

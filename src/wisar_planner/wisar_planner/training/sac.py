@@ -8,7 +8,6 @@ span several steps (the entropy bonus counts from the last one on).
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass
 
@@ -84,15 +83,10 @@ class Sac:
         self.actor = parameters(1, ACTOR_OUTPUTS)
         self.critics = parameters(2, 1)
         self.targets = {name: value.detach().clone() for name, value in self.critics.items()}
-        self.log_temperature = torch.tensor(
-            math.log(0.02), device=device, requires_grad=True
-        )
-        fused = {"fused": True}
+        self.log_temperature = torch.tensor(math.log(0.02), device=device, requires_grad=True)
         self.optimizers = {
-            "critics": torch.optim.Adam(
-                self.critics.values(), lr=settings.critic_rate, **fused
-            ),
-            "actor": torch.optim.Adam(self.actor.values(), lr=settings.actor_rate, **fused),
+            "critics": torch.optim.Adam(self.critics.values(), lr=settings.critic_rate, fused=True),
+            "actor": torch.optim.Adam(self.actor.values(), lr=settings.actor_rate, fused=True),
             "temperature": torch.optim.Adam(
                 [self.log_temperature], lr=settings.temperature_rate, betas=(0.5, 0.999)
             ),
@@ -150,9 +144,7 @@ class Sac:
         self._step("temperature", self.log_temperature * (entropy - target_entropy))
         with torch.no_grad():
             self.log_temperature.clamp_(min=math.log(s.least_temperature))
-            torch._foreach_lerp_(
-                list(self.targets.values()), list(self.critics.values()), s.tau
-            )
+            torch._foreach_lerp_(list(self.targets.values()), list(self.critics.values()), s.tau)
         return {
             "critic_loss": critic_loss.detach(),
             "value": taken.detach().mean(),
@@ -179,9 +171,8 @@ class Sac:
         self, observation: Observation, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Return actions and the logarithms of their probability densities, (B, M) each."""
-        mean, log_std = self._policy(observation)
-        mean, log_std = (x[:, None].expand(-1, self.settings.action_samples) for x in (mean, log_std))
-        noise = _normal(mean, generator)
+        mean, log_std = (x[:, None] for x in self._policy(observation))
+        noise = _normal(mean.expand(-1, self.settings.action_samples), generator)
         raw = mean + log_std.exp() * noise
         # log(1 - tanh^2), in a form that does not round to log(0).
         squash = 2.0 * (math.log(2.0) - raw - torch.nn.functional.softplus(-2.0 * raw))
@@ -191,7 +182,7 @@ class Sac:
     def _step(self, name: str, loss: Tensor) -> None:
         optimizer = self.optimizers[name]
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
 
 

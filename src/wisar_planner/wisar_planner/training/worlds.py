@@ -162,9 +162,7 @@ def random_worlds(
     )
 
 
-def _density(
-    side: int, weights: Tensor, means: Tensor, deviations: Tensor, turn: Tensor
-) -> Tensor:
+def _density(side: int, weights: Tensor, means: Tensor, deviations: Tensor, turn: Tensor) -> Tensor:
     """Return the density of mixtures at the centres of cells, (n, side, side)."""
     centre = torch.arange(side, device=weights.device) + 0.5
     density = torch.zeros(len(weights), side, side, device=weights.device)
