@@ -15,7 +15,7 @@ from wisar_planner.pdm import mixture_kernels as kernels
 from wisar_planner.pdm.boundary import checked_polygon, polygon_edges
 from wisar_planner.pdm.coverage_kernels import coverage
 from wisar_planner.pdm.grid import Grid
-from wisar_planner.pdm.protocol import IntArray
+from wisar_planner.pdm.protocol import DensityPieces, IntArray
 
 # A covariance whose axes differ by more than this is singular for all that doubles can tell.
 _LARGEST_CONDITION = 1e12
@@ -189,16 +189,7 @@ class GaussianMixture:
         """
         if not area > 0.0:
             return 0.0
-        region = checked_polygon(region)
-        xmin, ymin, xmax, ymax = region.bounds
-        # Cells a fraction of the narrowest component wide, but no more than a hundred thousand.
-        finest = 0.05 / float(self._components[:, 6].max())
-        cell = max(finest, math.sqrt((xmax - xmin) * (ymax - ymin) / 100_000))
-        grid = Grid.covering((xmin, ymin, xmax, ymax), cell)
-        covered = coverage(
-            polygon_edges(region), grid.x0, grid.y0, grid.cell, grid.rows, grid.columns
-        )
-        ranges = kernels.cell_ranges(grid.x0, grid.y0, grid.cell, covered, self._components)
+        _, _, ranges = self._cell_ranges(checked_polygon(region), math.inf)
         low, high = 0.0, float(ranges[:, 1].max())
         for _ in range(40):
             level = 0.5 * (low + high)
@@ -208,3 +199,40 @@ class GaussianMixture:
                 high = level
         bound = min(level * area + kernels.excess(ranges, level)[0] for level in (low, high))
         return min(bound, self.integrate(region))
+
+    def density_pieces(self, region: Polygon | MultiPolygon, side: float) -> DensityPieces:
+        r"""Return two pieces per cell of a grid; see `ProbabilityMap.density_pieces`.
+
+        In a cell the density lies between bounds a and b, and has a mean of at most m. Its
+        :math:`\int (p - \lambda)^+` is convex in p, so for every level it is at most that of a
+        cell that has the density b on the share (m - a) / (b - a) of it and a on the rest. Hence
+        no part of the cell holds more than the same area of these two pieces, the denser first.
+        """
+        grid, covered, ranges = self._cell_ranges(checked_polygon(region), side)
+        low, high, mean, area = ranges.T
+        spread = high - low
+        share = np.divide(mean - low, spread, out=np.ones_like(spread), where=spread > 0.0)
+        share = np.clip(share, 0.0, 1.0)
+        row, column = np.nonzero(covered > 0.0)
+        corners = np.column_stack([column, row]) * grid.cell + (grid.x0, grid.y0)
+        return DensityPieces(
+            corners=np.concatenate([corners, corners]),
+            side=grid.cell,
+            areas=np.concatenate([share * area, (1.0 - share) * area]),
+            densities=np.concatenate([high, low]),
+        )
+
+    def _cell_ranges(
+        self, region: Polygon | MultiPolygon, side: float
+    ) -> tuple[Grid, FloatArray, FloatArray]:
+        """Return a grid over `region`, the share of its cells within, and `kernels.cell_ranges`."""
+        xmin, ymin, xmax, ymax = region.bounds
+        # Cells a fraction of the narrowest component wide, but no more than a hundred thousand.
+        finest = min(0.05 / float(self._components[:, 6].max()), side)
+        cell = max(finest, math.sqrt((xmax - xmin) * (ymax - ymin) / 100_000))
+        grid = Grid.covering((xmin, ymin, xmax, ymax), cell)
+        covered = coverage(
+            polygon_edges(region), grid.x0, grid.y0, grid.cell, grid.rows, grid.columns
+        )
+        ranges = kernels.cell_ranges(grid.x0, grid.y0, grid.cell, covered, self._components)
+        return grid, covered, ranges

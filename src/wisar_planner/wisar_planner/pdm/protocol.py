@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,27 @@ from wisar_planner.errors import FloatArray
 from wisar_planner.pdm.grid import Grid
 
 IntArray = npt.NDArray[np.int64]
+
+
+class DensityPieces(NamedTuple):
+    """Pieces of uniform density, each somewhere in a square of its own or of several pieces.
+
+    Attributes
+    ----------
+    corners : (N, 2) float64
+        Lower-left corners of the squares, m.
+    side : float
+        Side of all squares, m.
+    areas : (N,) float64
+        Area of each piece, m^2.
+    densities : (N,) float64
+        Its probability density, 1/m^2.
+    """
+
+    corners: FloatArray
+    side: float
+    areas: FloatArray
+    densities: FloatArray
 
 
 @runtime_checkable
@@ -59,3 +80,17 @@ class ProbabilityMap(Protocol):
 
     def most_probable_mass(self, region: Polygon | MultiPolygon, area: float) -> float:
         """Return an upper bound of the mass in any part of `region` of `area` m^2 at most."""
+
+    def density_pieces(self, region: Polygon | MultiPolygon, side: float) -> DensityPieces:
+        """Return pieces of uniform density that bound the mass of every part of `region`.
+
+        Any part of `region` holds at most the mass of the densest pieces of the same area in the
+        same squares.
+
+        Parameters
+        ----------
+        region : shapely.Polygon or shapely.MultiPolygon
+            What to cut up.
+        side : float
+            Largest side of a square, m; wider where it would take too many.
+        """

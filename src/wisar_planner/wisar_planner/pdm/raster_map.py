@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,10 +11,13 @@ from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
 from wisar_planner.pdm import raster_kernels as kernels
-from wisar_planner.pdm.boundary import polygon_edges
+from wisar_planner.pdm.boundary import checked_polygon, polygon_edges
 from wisar_planner.pdm.coverage_kernels import coverage
 from wisar_planner.pdm.grid import Grid
-from wisar_planner.pdm.protocol import IntArray
+from wisar_planner.pdm.protocol import DensityPieces, IntArray
+
+# Squares that `density_pieces` cuts cells into, unless the cells alone are more.
+_MOST_PIECES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +143,32 @@ class RasterMap:
         used = np.cumsum(sizes)
         taken = np.clip(max(area, 0.0) / grid.cell**2 - (used - sizes), 0.0, sizes)
         return float(taken @ self.probability.ravel()[order])
+
+    def density_pieces(self, region: Polygon | MultiPolygon, side: float) -> DensityPieces:
+        """Return the covered cells, or equal parts of them; see `ProbabilityMap.density_pieces`."""
+        grid = self.grid
+        xmin, ymin, xmax, ymax = checked_polygon(region).bounds
+        low = np.floor((np.array([xmin, ymin]) - (grid.x0, grid.y0)) / grid.cell)
+        high = np.ceil((np.array([xmax, ymax]) - (grid.x0, grid.y0)) / grid.cell)
+        most = (grid.columns, grid.rows)
+        column, row = np.clip(low, 0, most).astype(np.int64)
+        end_column, end_row = np.clip(high, 0, most).astype(np.int64)
+        cells = self.probability[row:end_row, column:end_column]
+        if cells.size == 0:
+            return DensityPieces(np.empty((0, 2)), grid.cell, np.empty(0), np.empty(0))
+        finer = math.floor(math.sqrt(_MOST_PIECES / cells.size))
+        parts = max(1, min(math.ceil(grid.cell / side), finer))
+        part = grid.cell / parts
+        x0, y0 = grid.x0 + float(column) * grid.cell, grid.y0 + float(row) * grid.cell
+        rows, columns = cells.shape[0] * parts, cells.shape[1] * parts
+        covered = coverage(polygon_edges(region), x0, y0, part, rows, columns)
+        within = np.nonzero((covered > 0.0) & (cells.repeat(parts, 0).repeat(parts, 1) > 0.0))
+        return DensityPieces(
+            corners=np.asarray(np.column_stack(within[::-1]) * part + (x0, y0), np.float64),
+            side=part,
+            areas=np.minimum(covered[within], 1.0) * part**2,
+            densities=cells[within[0] // parts, within[1] // parts] / grid.cell**2,
+        )
 
 
 def _overlap(old: FloatArray, new: FloatArray) -> FloatArray:

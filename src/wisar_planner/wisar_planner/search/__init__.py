@@ -1,7 +1,7 @@
 """The search problem, what a path sees, and how good a path is."""
 
 from wisar_planner.search.area import SearchArea
-from wisar_planner.search.bound import upper_bound
+from wisar_planner.search.bound import reachable_bound, upper_bound
 from wisar_planner.search.find import distance_to_find
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
@@ -14,6 +14,7 @@ __all__ = [
     "SearchProblem",
     "SeenArea",
     "distance_to_find",
+    "reachable_bound",
     "scaled_reward",
     "shaped_reward",
     "upper_bound",
