@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from wisar_planner.training.paper.run import PaperRun
     from wisar_planner.training.run import TrainingRun, Validation
 
 _EXAMPLES = """\
@@ -19,6 +20,8 @@ examples:
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
       on a GPU
+  wisar train config/paper_sac.yaml --out out/paper
+      the paper's own policy
   tensorboard --logdir out
       the curves
 
@@ -59,11 +62,12 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInput(
             "training needs PyTorch, which planning does not: run `make train-setup` first"
         ) from None
-    from wisar_planner.training.config import read_config
+    from wisar_planner.training.paper.config import PaperConfig, read_any_config
+    from wisar_planner.training.paper.run import PaperRun
     from wisar_planner.training.run import TrainingRun
 
     given = {"seed": args.seed, "steps": args.steps}
-    config = read_config(args.config, **{k: v for k, v in given.items() if v is not None})
+    config = read_any_config(args.config, **{k: v for k, v in given.items() if v is not None})
     if args.threads:
         torch.set_num_threads(args.threads)
     try:
@@ -73,7 +77,11 @@ def run(args: argparse.Namespace) -> int:
         reason = str(error).splitlines()[0]
         raise InvalidInput(f"--device {args.device} is not to be had here: {reason}") from None
     folder = args.out or Path("out/train") / f"{config.name}-{config.seed}"
-    training = TrainingRun(config, folder, device)
+    training: TrainingRun | PaperRun
+    if isinstance(config, PaperConfig):
+        training = PaperRun(config, folder, device)
+    else:
+        training = TrainingRun(config, folder, device)
     if (folder / "checkpoint.safetensors").exists():
         training.load_checkpoint()
         print(f"continuing {folder} at {training.steps:,} of {config.steps:,} steps")
@@ -89,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(training: TrainingRun) -> None:
+def _follow(training: TrainingRun | PaperRun) -> None:
     """Train with a progress bar and a line for each validation."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

@@ -1,0 +1,134 @@
+"""Training configurations of the paper's policy: YAML files with `algorithm: paper_sac`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.training.config import TrainingConfig, _build, read_config
+from wisar_planner.training.paper.environment import TaskSettings
+from wisar_planner.training.paper.learner import LearnerSettings
+from wisar_planner.training.paper.network import NetworkSettings
+
+#: What a file's field `algorithm` says.
+ALGORITHM = "paper_sac"
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """What to train, for how long; the defaults are the paper's.
+
+    Parameters
+    ----------
+    algorithm : str
+        Always `paper_sac`.
+    name : str
+        Name of the model.
+    seed : int
+        Seed of everything random.
+    steps : int
+        Steps flown in all environments together; the last searches are flown to their end.
+    environments : int
+        Searches side by side, the paper's workers.
+    learning_starts : int
+        Steps flown at random before the first update.
+    train_every : int
+        Steps of each environment between updates.
+    gradient_steps : int
+        Updates then made.
+    buffer_size : int
+        Steps kept in the replay memory; it never takes more memory than `steps` need.
+    validation_maps : int
+        Maps that the policy is judged on.
+    validation_every : int
+        Steps between validations, which wait for the searches to end.
+    task : TaskSettings
+        The task.
+    sac : LearnerSettings
+        Settings of the algorithm.
+    network : NetworkSettings
+        Size of the networks.
+    """
+
+    algorithm: str = ALGORITHM
+    name: str = "paper_sac"
+    seed: int = 0
+    steps: int = 500_000_000
+    environments: int = 32
+    learning_starts: int = 8192
+    train_every: int = 10
+    gradient_steps: int = 50
+    buffer_size: int = 5_000_000
+    validation_maps: int = 512
+    validation_every: int = 1_000_000
+    task: TaskSettings = field(default_factory=TaskSettings)
+    sac: LearnerSettings = field(default_factory=LearnerSettings)
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+
+    def __post_init__(self) -> None:
+        if self.algorithm != ALGORITHM:
+            raise InvalidInput(f"algorithm must be {ALGORITHM}, not {self.algorithm!r}")
+        if self.seed < 0:
+            raise InvalidInput(f"seed must not be negative, not {self.seed}")
+        for name in (
+            "steps",
+            "environments",
+            "train_every",
+            "gradient_steps",
+            "buffer_size",
+            "validation_maps",
+            "validation_every",
+        ):
+            if not getattr(self, name) >= 1:
+                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.learning_starts < 0:
+            raise InvalidInput(f"learning_starts must not be negative, not {self.learning_starts}")
+
+
+def read_any_config(path: Path, **overrides: Any) -> TrainingConfig | PaperConfig:
+    """Return the configuration in a YAML file, of the algorithm that the file names.
+
+    Parameters
+    ----------
+    path : Path
+        The file; fields that it does not name keep their defaults.
+    **overrides
+        Fields that replace those of the file.
+
+    Raises
+    ------
+    InvalidInput
+        When the file cannot be read, names an unknown algorithm or field, or a value cannot be
+        right.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError):
+        content = None  # what is wrong with it, read_config says
+    if not isinstance(content, dict) or "algorithm" not in content:
+        return read_config(path, **overrides)
+    if content["algorithm"] != ALGORITHM:
+        raise InvalidInput(
+            f"{path}: algorithm must be {ALGORITHM}, or left out for the shipped policy's, "
+            f"not {content['algorithm']!r}"
+        )
+    config: PaperConfig = _build(PaperConfig, {**content, **overrides}, str(path))
+    return config
+
+
+def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:
+    """Return the configuration in a YAML file of the paper's policy.
+
+    Raises
+    ------
+    InvalidInput
+        As `read_any_config`, and when the file is for another algorithm.
+    """
+    config = read_any_config(path, **overrides)
+    if not isinstance(config, PaperConfig):
+        raise InvalidInput(f"{path} must have `algorithm: {ALGORITHM}`, see config/paper_sac.yaml")
+    return config
