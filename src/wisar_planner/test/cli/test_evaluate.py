@@ -37,6 +37,16 @@ def test_everything_that_was_asked_for_is_written(tmp_path, capsys):
     assert sorted(p.name for p in paths[0].parent.iterdir()) == ["figures", "out.json", "table.md"]
 
 
+def test_the_gap_is_written_where_it_is_asked_for(tmp_path, capsys):
+    out, table = tmp_path / "out.json", tmp_path / "table.md"
+    arguments = ["--runs", "2", "--gap", "--json", str(out), "--markdown", str(table)]
+    assert main([*SMALL, *arguments]) == 0
+    gap = json.loads(out.read_text())["gap"]["planners"]
+    assert set(gap) == {"lawnmower", "lhc_gw_conv"}
+    line = next(x for x in table.read_text().splitlines() if x.startswith("| planner | of bound"))
+    assert line in capsys.readouterr().out
+
+
 def test_resumed_file_is_kept_and_gives_the_same_numbers(tmp_path):
     runs = tmp_path / "runs.jsonl"
     outs = [tmp_path / f"{i}.json" for i in range(3)]

@@ -26,6 +26,8 @@ examples:
   wisar evaluate --planner lawnmower,greedy --map map.tif --start centre --runs 1 \\
       --step 64 --swath-radius 33 --budget 100000
       one search on a map from a GIS
+  wisar evaluate --worlds config/worlds.yaml --planner greedy,lookahead --runs 20 --json out.json
+      small and large areas, budgets and swaths, few and many modes, rasters, real maps
 
 Map i of a seed depends on the seed and i alone, never on the number of runs, jobs or planners."""
 
@@ -82,9 +84,22 @@ def add_parser(subparsers: Any) -> None:
         help="uniform in the area (default), peak, centre, or a point: X,Y in metres, "
         "LAT,LON in degrees on a --map",
     )
+    worlds = parser.add_argument_group("several worlds", "one table, a row a world")
+    worlds.add_argument(
+        "--worlds", type=Path, metavar="FILE", help="YAML file of worlds, see config/worlds.yaml"
+    )
+    worlds.add_argument("--world", metavar="A,B,...", help="these worlds of the file; all if not")
+    worlds.add_argument(
+        "--world-maps", type=Path, metavar="DIR", help="folder of the GIS maps that the file names"
+    )
     output = parser.add_argument_group("results")
     output.add_argument("--json", type=Path, metavar="FILE", help="all numbers")
     output.add_argument("--markdown", type=Path, metavar="FILE", help="the table")
+    output.add_argument(
+        "--gap",
+        action="store_true",
+        help="what each planner loses to transit, low ground, turns and overlap, beside the table",
+    )
     output.add_argument("--figures", type=Path, metavar="DIR", help="pictures")
     how = parser.add_argument_group("how it runs")
     how.add_argument(
@@ -103,13 +118,21 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the evaluation and write what was asked for."""
+    from wisar_planner.errors import InvalidInput
     from wisar_planner.evaluation.runner import Evaluation
     from wisar_planner.evaluation.store import RunStore
     from wisar_planner.evaluation.summary import summarise
     from wisar_planner.evaluation.tables import markdown
 
+    planners = planner_specs(args.planner, args.option)
+    if args.worlds:
+        from wisar_planner.cli.evaluate_worlds import run_worlds
+
+        return run_worlds(args, planners)
+    if args.world or args.world_maps:
+        raise InvalidInput("--world and --world-maps need --worlds")
     evaluation = Evaluation(
-        planners=planner_specs(args.planner, args.option),
+        planners=planners,
         runs=args.runs,
         seed=args.seed,
         persons=args.persons,
@@ -123,10 +146,17 @@ def run(args: argparse.Namespace) -> int:
             records = _with_progress(evaluation, args, store)
     results = summarise(evaluation, records)
     _print_table(results)
+    table = markdown(results)
+    if args.gap:
+        from wisar_planner.evaluation.gap import gap_markdown, summarise_gap
+
+        results["gap"] = summarise_gap(evaluation, records, jobs=args.jobs)
+        print(f"\n{gap_markdown(results['gap'])}", end="")
+        table += "\n" + gap_markdown(results["gap"])
     if args.json:
         _write(args.json, json.dumps(results, indent=1, allow_nan=False) + "\n")
     if args.markdown:
-        _write(args.markdown, markdown(results))
+        _write(args.markdown, table)
     if args.figures:
         from wisar_planner.evaluation.figures import save_figures
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,6 +95,22 @@ def bootstrap_ratio(
         )
         low, high = _bca_interval(samples, value, _acceleration(top, bottom), confidence)
     return Estimate(value.reshape(shape), low.reshape(shape), high.reshape(shape))
+
+
+def estimate_of(
+    name: str, numerators: ArrayLike, denominators: ArrayLike | None = None
+) -> dict[str, Any]:
+    """Return a ratio of sums over runs, one number, under its name and its interval beside it.
+
+    The interval is called ``NAME_ci``; its ends are None where one run cannot give one, so that
+    all is ready for JSON.
+    """
+    estimate = bootstrap_ratio(numerators, denominators)
+    ends = (float(estimate.low), float(estimate.high))
+    return {
+        name: float(estimate.value),
+        f"{name}_ci": [end if np.isfinite(end) else None for end in ends],
+    }
 
 
 def standard_deviation(values: ArrayLike) -> float:

@@ -1,0 +1,150 @@
+"""`wisar evaluate --worlds`: compare planners in several worlds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wisar_planner.evaluation.run import PlannerSpec
+    from wisar_planner.evaluation.worlds import World
+
+# What a world says itself, or what has no meaning for several.
+_OTHERS = ("config", "map", "area", "step", "swath_radius", "budget", "figures", "gap", "dask")
+
+
+def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int:
+    """Run the planners in every world and write what was asked for.
+
+    Raises
+    ------
+    InvalidInput
+        If an option does not go with ``--worlds``, or the file or an option is wrong.
+    """
+    from wisar_planner.errors import InvalidInput
+    from wisar_planner.evaluation.worlds_table import worlds_markdown
+
+    for name in _OTHERS:
+        if getattr(args, name):
+            raise InvalidInput(f"--{name.replace('_', '-')} does not go with --worlds; drop it")
+    if args.start != "uniform":
+        raise InvalidInput("--start does not go with --worlds; write it into the file")
+    keep = args.resume or (args.json and args.json.with_name(args.json.name + ".runs"))
+    if keep is not None and (keep.is_file() or keep.suffix not in ("", ".runs")):
+        raise InvalidInput(f"--resume: {keep} must be a folder, for there is a file per world")
+    worlds = _selected(args)
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    results = {
+        "setup": {
+            "worlds": str(args.worlds),
+            "runs": args.runs,
+            "seed": args.seed,
+            "persons": args.persons,
+            "planners": {spec.name: spec.resolved() for spec in planners},
+        },
+        "worlds": _run_all(args, planners, worlds, keep),
+    }
+    table = worlds_markdown(results)
+    print(table, end="")
+    for path, text in (
+        (args.json, json.dumps(results, indent=1, allow_nan=False) + "\n"),
+        (args.markdown, table),
+    ):
+        if path:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    if keep is not None and not args.resume:
+        for file in keep.glob("runs-*.jsonl"):
+            file.unlink()
+        keep.rmdir()
+    return 0
+
+
+def _selected(args: argparse.Namespace) -> list[World]:
+    """Return the worlds of the file, or those that ``--world`` names."""
+    from wisar_planner.errors import InvalidInput
+    from wisar_planner.evaluation.worlds import read_worlds
+
+    worlds = read_worlds(args.worlds, args.world_maps)
+    if not args.world:
+        return worlds
+    wanted = [name.strip() for name in args.world.split(",") if name.strip()]
+    known = [world.name for world in worlds]
+    for name in wanted:
+        if name not in known:
+            raise InvalidInput(f"--world: {name!r} is not in {args.worlds}; it has {known}")
+    return [world for world in worlds if world.name in wanted]
+
+
+def _run_all(
+    args: argparse.Namespace,
+    planners: Sequence[PlannerSpec],
+    worlds: Sequence[World],
+    keep: Path | None,
+) -> dict[str, Any]:
+    """Return the numbers of each world, with a progress bar on standard error."""
+    from contextlib import nullcontext
+
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from wisar_planner.evaluation.runner import Evaluation, run_evaluation
+    from wisar_planner.evaluation.store import RunStore
+    from wisar_planner.evaluation.worlds_table import summarise_world
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    each = args.runs * len(planners)
+    found: dict[str, Any] = {}
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("runs", total=each * sum(w.scenario is not None for w in worlds))
+        try:
+            for position, world in enumerate(worlds):
+                if world.scenario is None:
+                    found[world.name] = {"skipped": world.missing}
+                    continue
+                evaluation = Evaluation(
+                    planners, args.runs, args.seed, args.persons, world.scenario
+                )
+                progress.update(task, description=world.name)
+                stored = (
+                    nullcontext()
+                    if keep is None
+                    else RunStore(keep, evaluation.common_setup(), planners)
+                )
+                with stored as store:
+                    records = run_evaluation(
+                        evaluation,
+                        jobs=args.jobs,
+                        store=store,
+                        on_records=lambda fresh: progress.advance(task, len(fresh)),
+                    )
+                runnable = sum(w.scenario is not None for w in worlds[: position + 1])
+                progress.update(task, completed=each * runnable)
+                found[world.name] = summarise_world(evaluation, records, jobs=args.jobs)
+        except KeyboardInterrupt:
+            if keep is not None:
+                print(
+                    f"finished runs are kept in {keep}; the same command continues from them",
+                    file=sys.stderr,
+                )
+            raise
+    return found
