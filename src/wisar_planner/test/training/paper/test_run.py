@@ -8,6 +8,7 @@ import yaml
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.config import TrainingConfig
+from wisar_planner.training.paper import throughput
 from wisar_planner.training.paper.config import PaperConfig, read_any_config, read_paper_config
 from wisar_planner.training.paper.run import PaperRun
 
@@ -156,3 +157,14 @@ def test_wisar_train_runs_it(tmp_path, capsys):
     assert "continuing" in capsys.readouterr().out
     assert main(["train", str(write(tmp_path, algorithm="ppo"))]) == 2
     assert "algorithm must be" in capsys.readouterr().err
+
+
+def test_throughput_is_measured_and_added_up(tmp_path, capsys):
+    assert throughput.main([str(write(tmp_path)), "--seconds", "0"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    policy = 4 / found["environment_steps_per_s_with_policy"]
+    cycle = 3 * policy + 2 * found["seconds_per_update"]
+    assert found["training_steps_per_s"] == pytest.approx(3 * 4 / cycle)
+    assert found["days_for_all_steps"] == pytest.approx(120 / (12 / cycle) / 86_400)
+    assert throughput.main([str(write(tmp_path, steps=0))]) == 2
+    assert "steps must be" in capsys.readouterr().err

@@ -26,6 +26,7 @@ def measure(config: PaperConfig, device: torch.device, seconds: float) -> dict[s
 
     Half of the time is given to updates, a quarter each to the environment alone and to the
     environment flown by the policy; each is done at least twice, after once that does not count.
+    On a machine that does other work, too, the CPU's time of an update is the steadier figure.
 
     Parameters
     ----------
@@ -53,13 +54,13 @@ def measure(config: PaperConfig, device: torch.device, seconds: float) -> dict[s
     for _ in range(c.task.waypoints):
         action = 2.0 * torch.rand(c.environments, generator=generator, device=device) - 1.0
         run.replay.add(action, environment.step(action), environment.position)
-    update = _mean_time(
+    update, cpu = _mean_time(
         lambda: run.learner.update(run.replay.sample(c.sac.batch, generator), generator),
         0.5 * seconds,
         device,
     )
-    random = _mean_time(lambda: fly(False), 0.25 * seconds, device)
-    policy = _mean_time(lambda: fly(True), 0.25 * seconds, device)
+    random, _ = _mean_time(lambda: fly(False), 0.25 * seconds, device)
+    policy, _ = _mean_time(lambda: fly(True), 0.25 * seconds, device)
     # Of the run as a whole: `train_every` steps of all environments, then `gradient_steps` updates.
     cycle = c.train_every * policy + c.gradient_steps * update
     rate = c.train_every * c.environments / cycle
@@ -69,6 +70,7 @@ def measure(config: PaperConfig, device: torch.device, seconds: float) -> dict[s
         "parameters": run.learner.parameters,
         "batch": c.sac.batch,
         "seconds_per_update": update,
+        "cpu_seconds_per_update": cpu,
         "environment_steps_per_s": c.environments / random,
         "environment_steps_per_s_with_policy": c.environments / policy,
         "training_steps_per_s": rate,
@@ -76,8 +78,10 @@ def measure(config: PaperConfig, device: torch.device, seconds: float) -> dict[s
     }
 
 
-def _mean_time(work: Callable[[], object], seconds: float, device: torch.device) -> float:
-    """Return the mean time of repeated work, s."""
+def _mean_time(
+    work: Callable[[], object], seconds: float, device: torch.device
+) -> tuple[float, float]:
+    """Return the mean time of repeated work and that of the CPU, of all threads, s."""
 
     def wait() -> None:
         if device.type == "cuda":
@@ -85,12 +89,13 @@ def _mean_time(work: Callable[[], object], seconds: float, device: torch.device)
 
     work()
     wait()
-    began, count = time.perf_counter(), 0
+    began, cpu_began, count = time.perf_counter(), time.process_time(), 0
     while count < 2 or time.perf_counter() - began < seconds:
         work()
         wait()
         count += 1
-    return (time.perf_counter() - began) / count
+    wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+    return wall / count, cpu / count
 
 
 def main(argv: Sequence[str] | None = None) -> int:
