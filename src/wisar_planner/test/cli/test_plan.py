@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import os
 import signal
 import sys
 import time
@@ -183,12 +182,12 @@ def test_the_time_budget_and_the_first_interrupt_end_the_planning(
     slow = Stubborn(lambda i: time.sleep(0.001))
     monkeypatch.setattr(module, "_planner", lambda args: slow)
     assert main([*arguments, "--time-budget", "0.05"]) == 0
-    interrupted = Stubborn(lambda i: os.kill(os.getpid(), signal.SIGINT) if i == 3 else None)
+    interrupted = Stubborn(lambda i: signal.raise_signal(signal.SIGINT) if i == 3 else None)
     monkeypatch.setattr(module, "_planner", lambda args: interrupted)
     before = signal.getsignal(signal.SIGINT)
     assert main(arguments) == 0
     assert signal.getsignal(signal.SIGINT) is before
-    twice = Stubborn(lambda i: os.kill(os.getpid(), signal.SIGINT))
+    twice = Stubborn(lambda i: signal.raise_signal(signal.SIGINT))
     twice.plan = lambda problem, **_: [twice.on_round(i) for i in range(3)]
     monkeypatch.setattr(module, "_planner", lambda args: twice)
     assert main(arguments) == 130

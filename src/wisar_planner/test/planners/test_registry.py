@@ -7,7 +7,7 @@ from wisar_planner.planners import Option, planner_options
 def test_names_are_those_of_the_design():
     expected = {
         "lawnmower", "lhc_gw_conv", "greedy", "lookahead",
-        "expanding_square", "sector", "creeping_line",
+        "expanding_square", "sector", "creeping_line", "sac", "sac_search",
     }  # fmt: skip
     assert expected <= set(planner_names())
 
@@ -19,7 +19,7 @@ def test_every_planner_makes_with_defaults_and_describes_its_options(name):
     for key, option in planner_options(name).items():
         assert isinstance(option, Option)
         assert option.name == key
-        assert option.type in (bool, int, float)
+        assert option.type in (bool, int, float, str)
         assert type(getattr(planner, key)) is option.type
         assert option.help.endswith(".")
         assert option.checked(option.default) == option.default
@@ -52,6 +52,9 @@ def test_unknown_option_is_refused_with_a_suggestion():
         ("lookahead", {"time_budget_s": 0.0}, "time_budget_s must be at least"),
         ("lookahead", {"seed": -1}, "seed must be at least 0"),
         ("sector", {"radius": float("inf")}, "radius must be a finite number"),
+        ("sac", {"model": ""}, "model must be a text that is not empty"),
+        ("sac", {"model": 1}, "model must be a text that is not empty"),
+        ("sac_search", {"model": None}, "model must be a text that is not empty"),
     ],
 )
 def test_bad_options_are_refused_by_name(name, options, message):

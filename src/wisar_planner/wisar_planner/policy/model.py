@@ -23,6 +23,9 @@ from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH
 #: Name of the policy that the planners load unless told otherwise.
 DEFAULT_MODEL = "sac"
 
+# Largest network that a card may ask memory for.
+_LARGEST = {"channels": 1024, "blocks": 32}
+
 Weights = dict[str, npt.NDArray[np.float32]]
 
 
@@ -165,7 +168,7 @@ def _size(weights: Weights) -> dict[str, int]:
 def _check_weights(path: Path, weights: Weights, network: dict[str, Any]) -> None:
     """Raise where the weights are not those of a network of the card's size."""
     size: dict[str, Any] = {name: network.get(name) for name in ("channels", "blocks")}
-    if not all(isinstance(n, int) and 0 < n <= 4096 for n in size.values()):
+    if not all(isinstance(n, int) and 0 < n <= _LARGEST[name] for name, n in size.items()):
         raise InvalidInput(f"model: the card of {path} gives no network size: {network}")
     expected = initial_parameters(
         np.random.default_rng(0),

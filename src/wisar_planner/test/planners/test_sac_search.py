@@ -1,0 +1,101 @@
+import itertools
+import time
+
+import numpy as np
+import pytest
+
+from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
+
+
+def check(problem, path):
+    assert path.planner == "sac_search"
+    np.testing.assert_array_equal(path.waypoints[0], problem.start)
+    assert problem.area.contains(path.waypoints).all()
+    assert path.length <= problem.max_distance * (1.0 + 1e-9)
+
+
+def test_is_at_least_as_good_as_the_policy_alone(paper_problem):
+    searched, alone = [], []
+    planner = make_planner("sac_search", max_iterations=3000, early_weight=0.0)
+    for problem in map(paper_problem, range(20, 26)):
+        path = planner.plan(problem)
+        check(problem, path)
+        searched.append(path.probability_efficiency(problem))
+        alone.append(make_planner("sac").plan(problem).probability_efficiency(problem))
+    assert (np.array(searched) >= 0.995 * np.array(alone)).all()  # it compares on a raster
+    assert np.mean(searched) > 1.02 * np.mean(alone)
+
+
+def test_more_iterations_are_better_on_average(paper_problem):
+    few, many = (
+        np.mean(
+            [
+                make_planner("sac_search", max_iterations=n).plan(p).probability_efficiency(p)
+                for p in map(paper_problem, range(40, 44))
+            ]
+        )
+        for n in (50, 8000)
+    )
+    assert many > few
+
+
+def test_iterations_make_it_repeatable_and_seeds_differ(paper_problem):
+    first, again, other = (
+        make_planner("sac_search", max_iterations=1000, seed=seed).plan(paper_problem(32)).waypoints
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+def test_keeps_to_its_time(paper_problem):
+    problem = paper_problem(33)
+    planner = make_planner("sac_search", time_budget_s=0.8)
+    planner.plan(problem)  # compile
+    began = time.monotonic()
+    check(problem, planner.plan(problem))
+    assert 0.6 < time.monotonic() - began < 6.0
+
+
+@pytest.mark.parametrize("after", [0, 1, 20])
+def test_stops_when_told_with_a_whole_path(paper_problem, after):
+    problem, asked = paper_problem(34), itertools.count(1)
+    planner = make_planner("sac_search", time_budget_s=600.0)
+    path = planner.plan(problem, should_stop=lambda: next(asked) > after)
+    check(problem, path)
+    assert len(path.waypoints) == problem.steps + 1
+    assert next(asked) < after + 200
+
+
+def test_progress_never_falls(paper_problem):
+    problem, told = paper_problem(35), []
+    path = make_planner("sac_search", max_iterations=2000).plan(problem, on_progress=told.append)
+    for values in ([p.efficiency for p in told], [p.fraction for p in told]):
+        assert values == sorted(values)
+    assert told[-1].efficiency == pytest.approx(path.probability_efficiency(problem), rel=0.03)
+
+
+def test_plans_where_the_policy_finds_no_step():
+    problem = SearchProblem(
+        pdm=GaussianMixture(np.ones(1), np.array([[1.0, 2.0]]), 4.0 * np.eye(2)[None]),
+        area=SearchArea.rectangle(0.0, 0.0, 5.0, 5.0),
+        start=np.array([1.0, 1.0]),
+        step_length=8.0,
+        swath_radius=0.5,
+        max_distance=64.0,
+    )
+    path = make_planner("sac_search", max_iterations=100).plan(problem)
+    check(problem, path)
+    assert path.length > 8.0
+
+
+def test_plans_around_a_hole(holed_problem):
+    path = make_planner("sac_search", max_iterations=500).plan(holed_problem)
+    check(holed_problem, path)
+    assert path.length > 0.9 * holed_problem.max_distance
+
+
+def test_plans_on_a_raster_map(far_modes):
+    path = make_planner("sac_search", max_iterations=1000).plan(far_modes)
+    check(far_modes, path)
+    assert path.probability_efficiency(far_modes) > 0.25

@@ -1,0 +1,106 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from wisar_planner import GaussianMixture
+from wisar_planner.policy.observation import cells_per_step
+from wisar_planner.policy.unseen_map import BLOCK, OUTSIDE
+from wisar_planner.training.worlds import WorldDistribution, random_worlds
+
+
+def as_mixture(weights, means, deviations, turn):
+    """Return one world's mixture, and what its density on the raster is multiplied by."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    axes = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=-2)
+    covariances = np.einsum("kai,ka,kaj->kij", axes, deviations**2, axes)
+    used = weights > 0.0
+    total = weights.sum()
+    mixture = GaussianMixture(weights[used] / total, means[used], covariances[used])
+    return mixture, 2.0 * math.pi * total
+
+
+def test_worlds_keep_their_bounds(distribution, generator):
+    d = distribution
+    worlds = random_worlds(64, d, generator)
+    assert worlds.density.shape == (64, d.side, d.side)
+    assert d.side % BLOCK == d.window % BLOCK == 0
+    for each in worlds:
+        assert torch.isfinite(each).all()
+    assert (worlds.low < worlds.high).all()
+    assert ((worlds.start >= worlds.low) & (worlds.start <= worlds.high)).all()
+    assert (worlds.heading >= 0.0).all()
+    assert (worlds.heading <= 2.0 * math.pi).all()
+    torch.testing.assert_close(worlds.step, cells_per_step(worlds.radius / worlds.step))
+    radii = worlds.radius / worlds.step
+    paper = worlds.steps == 64.0
+    if d.paper_share < 1.0:
+        paper &= (radii - 0.3125).abs() < 1e-5
+        varied = ~paper
+        assert (radii[varied] >= d.radii[0] - 1e-5).all()
+        assert (radii[varied] <= d.radii[1] + 1e-5).all()
+        assert (worlds.steps[varied] >= d.budgets[0]).all()
+        assert (worlds.steps[varied] <= d.budgets[1]).all()
+    torch.testing.assert_close(radii[paper], torch.full_like(radii[paper], 0.3125))
+    sides = (worlds.high - worlds.low)[paper] / worlds.step[paper, None]
+    torch.testing.assert_close(sides, torch.full_like(sides, 18.75))
+
+
+def test_the_map_counts_within_the_swath_of_the_area_alone(distribution, generator):
+    worlds = random_worlds(32, distribution, generator)
+    centre = torch.arange(distribution.side) + 0.5
+    reach = worlds.radius[:, None]
+    x, y = (
+        (centre > worlds.low[:, axis, None] - reach) & (centre < worlds.high[:, axis, None] + reach)
+        for axis in (0, 1)
+    )
+    inside = y[:, :, None] & x[:, None, :]
+    assert (worlds.density[inside] >= 0.0).all()
+    assert (worlds.density[~inside] == OUTSIDE).all()
+    assert (worlds.density.amax(dim=(1, 2)) > 0.0).all()
+
+
+def test_swaths_of_steps_in_the_area_stay_on_the_raster(distribution, generator):
+    worlds = random_worlds(64, distribution, generator)
+    # What lies off the raster reads as its border, so the border is outside.
+    border = torch.ones(distribution.side, distribution.side, dtype=torch.bool)
+    border[BLOCK:-BLOCK, BLOCK:-BLOCK] = False
+    assert (worlds.density[:, border] == OUTSIDE).all()
+    assert (worlds.low >= worlds.radius[:, None] + BLOCK).all()
+    assert (worlds.high <= distribution.side - worlds.radius[:, None] - BLOCK).all()
+    assert (worlds.step + 2.0 * worlds.radius + 2.0 <= distribution.window).all()
+
+
+def test_the_density_is_the_mixtures(generator, mixtures):
+    worlds = random_worlds(6, WorldDistribution(paper_share=0.3), generator)
+    for i, mixture in enumerate(zip(*mixtures[0], strict=True)):
+        pdm, factor = as_mixture(*mixture)
+        rows, columns = np.nonzero(worlds.density[i].numpy() >= 0.0)
+        points = np.stack([columns, rows], axis=-1) + 0.5
+        expected = factor * pdm.density(points)
+        found = worlds.density[i].numpy()[rows, columns]
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5 * expected.max())
+
+
+def test_paper_worlds_have_the_papers_mixture(generator, mixtures):
+    worlds = random_worlds(200, WorldDistribution(), generator)
+    weights, means, deviations, _ = mixtures[0]
+    assert weights.shape == (200, 4)
+    assert (weights == 1.0).all()
+    np.testing.assert_allclose(deviations / worlds.step.numpy()[:, None, None] * 8.0, 500.0**0.5)
+    low, high = worlds.low.numpy()[:, None], worlds.high.numpy()[:, None]
+    share = (means - low) / (high - low)
+    assert (share >= 0.0).all()
+    assert (share <= 1.0).all()
+    assert share.mean() == pytest.approx(0.5, abs=0.03)
+    assert share.std() == pytest.approx(12.0**-0.5, abs=0.02)
+
+
+def test_worlds_repeat_with_the_seed(distribution):
+    first, again, other = (
+        random_worlds(3, distribution, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)
+    )
+    for one, two in zip(first, again, strict=True):
+        torch.testing.assert_close(one, two, rtol=0.0, atol=0.0)
+    assert (first.start != other.start).any()
