@@ -3,8 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 common=(pip compile --quiet --upgrade --no-header --no-annotate --no-emit-index-url --generate-hashes)
-for name in requirements requirements-ros requirements-train requirements-uv; do
+for name in requirements requirements-ros requirements-train requirements-bench requirements-uv; do
   uv "${common[@]}" --universal --python-version 3.10 "$name.in" -o "$name.txt"
 done
-# libjpathgen has no wheel past Python 3.12.
-uv "${common[@]}" --python-version 3.12 requirements-bench.in -o requirements-bench.txt
+

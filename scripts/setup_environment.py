@@ -43,16 +43,18 @@ class SetupError(Exception):
 def main() -> int:
     """Run the stages; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bench", action="store_true", help="also install the benchmark's peers")
+    parser.add_argument(
+        "--bench", action="store_true", help="also install training and the benchmark's peers"
+    )
     parser.add_argument("--train", action="store_true", help="also install what training needs")
     arguments = parser.parse_args()
     try:
         check_machine()
         create_environment()
-        if arguments.bench:
-            install_benchmark_peers()
-        if arguments.train:
+        if arguments.bench or arguments.train:
             install_extra("train", "PyTorch and what else training needs (5 GB)")
+        if arguments.bench:
+            install_extra("bench", "the benchmark's peers")
         build_packages()
         compile_kernels()
     except SetupError as error:
@@ -143,16 +145,8 @@ def create_environment() -> None:
     stamp.write_text(key)
 
 
-def install_benchmark_peers() -> None:
-    """Install what only `wisar bench` compares with."""
-    if sys.version_info[:2] > (3, 12):
-        announce("libjpathgen has no wheel for this Python: its benchmark row stays without a peer")
-        return
-    install_extra("bench", "the benchmark's peers")
-
-
 def install_extra(name: str, what: str) -> None:
-    """Install the packages of requirements-NAME.txt."""
+    """Install the packages of requirements-NAME.txt, which planning does without."""
     lock = ROOT / f"requirements-{name}.txt"
     stamp = VENV / f".wisar-{name}-stamp"
     if not is_current(stamp, key := digest([lock])):

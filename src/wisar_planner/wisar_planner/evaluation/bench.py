@@ -22,6 +22,7 @@ TOPICS: Mapping[str, str] = {
     "search": "wisar_planner.evaluation.bench_search",
     "mavlink": "wisar_planner.evaluation.bench_mavlink",
     "evaluation": "wisar_planner.evaluation.bench_evaluation",
+    "training": "wisar_planner.evaluation.bench_training",
 }
 
 

@@ -21,6 +21,9 @@ from wisar_planner.policy.unseen_map import Array
 
 Parameters = Mapping[str, Array]
 
+#: Where each direction lies in the mirror image.
+MIRROR = -np.arange(DIRECTIONS) % DIRECTIONS
+
 # Spreads a ring kernel k to the matrix M[j, i] = k[(i - j) % DIRECTIONS], flat; as a matrix product,
 # whose gradient is one, too.
 _TURN = (np.arange(DIRECTIONS)[None, :] - np.arange(DIRECTIONS)[:, None]) % DIRECTIONS
@@ -97,6 +100,20 @@ def forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
         hidden = hidden + _relu(xp, mixed)
     output = xp.matmul(parameters["output"], hidden) + parameters["output_bias"]
     return output.reshape((networks, -1, batch, directions))
+
+
+def symmetric_forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
+    """Return the outputs averaged with those for the mirror image, mirrored back.
+
+    What is best to the left is best to the right in the mirrored world. A trained network obeys
+    that in part only; averaging makes it exact, and the policy better. Arguments and result are
+    those of `forward`.
+    """
+    xp = array_namespace(view)
+    batch = view.shape[0]
+    both = xp.concat([view, view[:, MIRROR, :]], axis=0)
+    output = forward(parameters, both, xp.concat([numbers, numbers], axis=0))
+    return 0.5 * (output[:, :, :batch] + output[:, :, batch:, MIRROR])
 
 
 def _relu(xp: Any, x: Array) -> Array:

@@ -21,8 +21,8 @@ DISTANCES = np.geomspace(0.25, 25.0, 16)
 VIEW_WIDTH = len(DISTANCES) + 1
 NUMBERS = 8
 
-# Distances, in steps, from which the middle and the coarse raster are read.
-_MIDDLE_FROM, _COARSE_FROM = 1.5, 6.0
+#: Distances, in steps, from which the middle and the coarse raster are read.
+MIDDLE_FROM, COARSE_FROM = 1.5, 6.0
 # Points per step, along and across, that its gain is taken from.
 _ALONG, _ACROSS = 8, 6
 _BRIGHTEST = 4.0
@@ -70,7 +70,7 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
     unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
     parts = []
     for level, (low, high) in enumerate(
-        ((0.0, _MIDDLE_FROM), (_MIDDLE_FROM, _COARSE_FROM), (_COARSE_FROM, math.inf))
+        ((0.0, MIDDLE_FROM), (MIDDLE_FROM, COARSE_FROM), (COARSE_FROM, math.inf))
     ):
         distances = DISTANCES[(low <= DISTANCES) & (high > DISTANCES)]
         reach = unseen.step[:, None] * constant(distances)  # (B, R)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import yaml
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training.ablation import check_ablation
 from wisar_planner.training.sac import SacSettings
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -51,6 +53,8 @@ class TrainingConfig:
         Maps of the paper's setup that the policy is judged on.
     validation_every : int
         Steps between validations.
+    ablation : str
+        Part of the policy to leave out, see `training.ablation`; empty for none.
     sac : SacSettings
         Settings of the algorithm.
     worlds : WorldDistribution
@@ -72,13 +76,29 @@ class TrainingConfig:
     decay_from: float = 0.5
     validation_maps: int = 512
     validation_every: int = 50_000
+    ablation: str = ""
     sac: SacSettings = field(default_factory=SacSettings)
     worlds: WorldDistribution = field(default_factory=WorldDistribution)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "environments", "batch", "replay", "n_step", "validation_every"):
-            if not getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name, least in (
+            ("seed", 0),
+            ("steps", 1),
+            ("environments", 1),
+            ("batch", 1),
+            ("replay", 1),
+            ("n_step", 1),
+            ("validation_maps", 1),
+            ("validation_every", 1),
+        ):
+            if not getattr(self, name) >= least:
+                raise InvalidInput(f"{name} must be at least {least}, not {getattr(self, name)}")
+        for name in ("updates", "reward_scale"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
+        if not 0.0 <= self.decay_from < 1.0:
+            raise InvalidInput(f"decay_from must be from 0 to below 1, not {self.decay_from}")
+        check_ablation(self.ablation)
         if not 0.0 < self.gamma <= 1.0:
             raise InvalidInput(f"gamma must be over 0 and at most 1, not {self.gamma}")
         if self.warm_up_steps < (self.n_step + 1) * self.environments:

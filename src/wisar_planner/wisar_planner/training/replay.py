@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from wisar_planner.policy.network import MIRROR
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 
 
@@ -100,7 +101,7 @@ class Replay:
         # Mirrored, the directions run the other way round; the first stays.
         mirrored = torch.rand(size, generator=generator, device=device) < 0.5
         ring = torch.arange(DIRECTIONS, device=device)
-        order = torch.where(mirrored[:, None], -ring % DIRECTIONS, ring)
+        order = torch.where(mirrored[:, None], torch.as_tensor(MIRROR, device=device), ring)
         action = self._action[first, search]
         last = (first + self._n_step) % self._rows
         return Batch(

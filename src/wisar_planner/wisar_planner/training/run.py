@@ -19,8 +19,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import save_model
+from wisar_planner.policy.observation import Observation
+from wisar_planner.training.ablation import make_environment, make_network
 from wisar_planner.training.config import TrainingConfig, as_dict
-from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.replay import Replay
 from wisar_planner.training.sac import Sac
 from wisar_planner.training.worlds import WorldDistribution
@@ -72,14 +73,17 @@ class TrainingRun:
     def __init__(self, config: TrainingConfig, folder: Path, device: torch.device) -> None:
         self.config, self.folder, self.device = config, folder, device
         self.generator = torch.Generator(device=device).manual_seed(config.seed)
-        self.environment = SearchEnvironment(
-            config.environments, config.worlds, self.generator, stagger=True
+        self.environment = make_environment(
+            config.ablation, config.environments, config.worlds, self.generator, stagger=True
         )
-        self.sac = Sac(config.sac, np.random.default_rng(config.seed), device)
+        self.sac = Sac(
+            config.sac, np.random.default_rng(config.seed), device, make_network(config.ablation)
+        )
         self.replay = Replay(
             config.replay, config.environments, config.n_step, config.gamma, device
         )
         self.steps, self.updates, self.seconds = 0, 0, 0.0
+        self._owed = 0.0  # updates, where they are no whole number per step
         self.best_share = 0.0
         self.validations: list[Validation] = []
 
@@ -102,7 +106,6 @@ class TrainingRun:
         with SummaryWriter(str(self.folder), purge_step=self.steps) as log:
             observation = self.environment.observe()
             figures: dict[str, list[Tensor]] = {}
-            owed = 0.0
             began = time.monotonic()
             while self.steps < c.steps:
                 learning = self.steps >= c.warm_up_steps
@@ -115,9 +118,9 @@ class TrainingRun:
                 observation = self.environment.observe()
                 self.steps += c.environments
                 if learning:
-                    owed += c.updates
-                while owed >= 1.0:
-                    owed -= 1.0
+                    self._owed += c.updates
+                while self._owed >= 1.0:
+                    self._owed -= 1.0
                     self.updates += 1
                     for name, value in self._update().items():
                         figures.setdefault(name, []).append(value)
@@ -151,7 +154,13 @@ class TrainingRun:
         return torch.rand(self.config.environments, generator=self.generator, device=self.device)
 
     def _validated(self, log: SummaryWriter, figures: dict[str, float]) -> Validation:
-        efficiency, share = validate(self.sac, self.config.validation_maps, self.device)
+        efficiency, share = fly_validation(
+            lambda shown: self.sac.act(shown, None),
+            self.config.validation_maps,
+            self.device,
+            WorldDistribution(),
+            self.config.ablation,
+        )
         result = Validation(self.steps, self.updates, self.seconds, efficiency, share, figures)
         self.validations.append(result)
         for name, value in (
@@ -160,8 +169,8 @@ class TrainingRun:
             *((f"training/{name}", value) for name, value in figures.items()),
         ):
             log.add_scalar(name, value, self.steps)
-        if share > self.best_share:
-            self.best_share = share
+        better, self.best_share = share > self.best_share, max(share, self.best_share)
+        if better and not self.config.ablation:
             weights = {name: value.detach().cpu().numpy() for name, value in self.sac.actor.items()}
             save_model(self.folder / f"{self.config.name}.safetensors", weights, self._card(result))
         self.save_checkpoint()
@@ -201,6 +210,7 @@ class TrainingRun:
         counters = {
             "steps": self.steps,
             "updates": self.updates,
+            "owed": self._owed,
             "seconds": self.seconds,
             "best_share": self.best_share,
             "added": self.replay.added,
@@ -242,6 +252,7 @@ class TrainingRun:
         self.generator.set_state(stored["generator"].cpu())
         self.replay.added = counters["added"]
         self.steps, self.updates = counters["steps"], counters["updates"]
+        self._owed = counters["owed"]
         self.seconds, self.best_share = counters["seconds"], counters["best_share"]
         self.validations = [Validation(**each) for each in counters["validations"]]
 
@@ -266,35 +277,38 @@ def _tensors_of(run: TrainingRun) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def validate(
-    sac: Sac,
+def fly_validation(
+    act: Callable[[Observation], Tensor],
     maps: int,
     device: torch.device,
-    worlds: WorldDistribution | None = None,
+    worlds: WorldDistribution,
+    ablation: str = "",
 ) -> tuple[float, float]:
-    """Return mean e_p and mean share of the bound of the most likely turns.
+    """Return mean e_p and mean share of the bound of a policy.
 
     Parameters
     ----------
-    sac : Sac
-        The learner.
+    act : callable
+        From what searches show to their turns, see `SearchEnvironment.step`.
     maps : int
         Number of maps; the same ones whenever it is the same.
     device : torch.device
         Where to compute.
-    worlds : WorldDistribution, optional
-        What the maps look like; the paper's setup unless given.
+    worlds : WorldDistribution
+        What the maps look like.
+    ablation : str
+        The policy's ablation.
     """
     generator = torch.Generator(device=device).manual_seed(_VALIDATION_SEED)
-    environment = SearchEnvironment(maps, worlds or WorldDistribution(), generator)
+    environment = make_environment(ablation, maps, worlds, generator)
     unseen, steps = environment.unseen, environment.steps.clone()
     in_area = environment.in_area.clone()
-    swept = 2.0 * unseen.radius * unseen.step * steps + math.pi * unseen.radius.square()
     step_area = (2.0 * unseen.radius * unseen.step).clone()
+    swept = step_area * steps + math.pi * unseen.radius.square()
     seen = environment.seen.clone()
     searching = torch.ones(maps, device=device)
     for _ in range(int(steps.max())):
-        reward, done = environment.step(sac.act(environment.observe(), None))
+        reward, done = environment.step(act(environment.observe()))
         seen += searching * reward * step_area
         searching = searching * ~done
     return float((seen / in_area).mean()), float((seen / swept).mean())

@@ -15,9 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
-from wisar_planner.policy.network import forward, initial_parameters
 from wisar_planner.policy.observation import Observation
+from wisar_planner.training.ablation import Network, make_network
 from wisar_planner.training.replay import Batch
 
 
@@ -28,7 +29,7 @@ class SacSettings:
     Parameters
     ----------
     channels, blocks : int
-        Size of the networks, see `initial_parameters`.
+        Size of the networks, see `policy.network.initial_parameters`.
     critic_rate, actor_rate, temperature_rate : float
         Learning rates of Adam.
     tau : float
@@ -48,6 +49,16 @@ class SacSettings:
     action_samples: int = 4
     least_temperature: float = 1e-4
 
+    def __post_init__(self) -> None:
+        for name in ("channels", "blocks", "action_samples"):
+            if not getattr(self, name) >= 1:
+                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("critic_rate", "actor_rate", "temperature_rate", "least_temperature"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
+        if not 0.0 < self.tau <= 1.0:
+            raise InvalidInput(f"tau must be over 0 and at most 1, not {self.tau}")
+
 
 class Sac:
     """Actor, critics and temperature, and how they learn.
@@ -60,15 +71,22 @@ class Sac:
         Source of the first parameters.
     device : torch.device
         Where to compute.
+    network : Network, optional
+        Network of actor and critics; the ring network unless given.
     """
 
     def __init__(
-        self, settings: SacSettings, rng: np.random.Generator, device: torch.device
+        self,
+        settings: SacSettings,
+        rng: np.random.Generator,
+        device: torch.device,
+        network: Network | None = None,
     ) -> None:
         self.settings = settings
+        self._network = network or make_network("")
 
         def parameters(networks: int, outputs: int) -> dict[str, Tensor]:
-            made = initial_parameters(
+            made = self._network.initial(
                 rng,
                 networks=networks,
                 outputs=outputs,
@@ -155,17 +173,18 @@ class Sac:
     @torch.no_grad()
     def act(self, observation: Observation, generator: torch.Generator | None) -> Tensor:
         """Return an action per search, (B,); the most likely ones without a generator."""
+        if generator is None:
+            output = self._network.symmetric_forward(self.actor, *observation)[0]
+            return torch.tanh(actor_distribution(output)[0])
         mean, log_std = self._policy(observation)
-        if generator is not None:
-            mean = mean + log_std.exp() * _normal(mean, generator)
-        return torch.tanh(mean)
+        return torch.tanh(mean + log_std.exp() * _normal(mean, generator))
 
     def _policy(self, observation: Observation) -> tuple[Tensor, Tensor]:
-        return actor_distribution(forward(self.actor, *observation)[0])
+        return actor_distribution(self._network.forward(self.actor, *observation)[0])
 
     def _values(self, critics: dict[str, Tensor], observation: Observation) -> Tensor:
         """Return values per direction, (2, B, DIRECTIONS)."""
-        return forward(critics, *observation)[:, 0]
+        return self._network.forward(critics, *observation)[:, 0]
 
     def _sample(
         self, observation: Observation, generator: torch.Generator

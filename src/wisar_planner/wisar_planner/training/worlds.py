@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy import unseen_map
 from wisar_planner.policy.observation import cells_per_step
 from wisar_planner.policy.unseen_map import OUTSIDE, margin, window_side
@@ -72,6 +73,16 @@ class WorldDistribution:
     deviations: tuple[float, float] = (0.8, 6.0)
     radii: tuple[float, float] = (0.2, 0.6)
     budgets: tuple[int, int] = (10, 160)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.paper_share <= 1.0:
+            raise InvalidInput(f"paper_share must be from 0 to 1, not {self.paper_share}")
+        if not 1 <= self.modes <= 1000:
+            raise InvalidInput(f"modes must be from 1 to 1000, not {self.modes}")
+        for name, least in (("sides", 1.0), ("deviations", 0.01), ("radii", 0.05), ("budgets", 1)):
+            low, high = getattr(self, name)
+            if not least <= low <= high < math.inf:
+                raise InvalidInput(f"{name} must be two rising numbers from {least} up")
 
     @property
     def window(self) -> int:

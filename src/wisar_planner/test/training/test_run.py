@@ -1,0 +1,104 @@
+"""Training runs: reproducible, resumable, and wrong configurations refused in words."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.policy.model import load_model
+from wisar_planner.training.config import TrainingConfig, read_config
+from wisar_planner.training.run import TrainingRun
+from wisar_planner.training.sac import SacSettings
+from wisar_planner.training.worlds import WorldDistribution
+
+CPU = torch.device("cpu")
+TINY = TrainingConfig(
+    name="tiny", steps=160, environments=4, warm_up_steps=32, updates=0.75, batch=8, replay=128,
+    validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
+    worlds=WorldDistribution(paper_share=0.5, sides=(10.0, 12.0), budgets=(5, 9)),
+)  # fmt: skip
+
+
+def weights_after(config, folder, *, stop_after=None):
+    """Train, stop after some validations and go on from the checkpoint; return the weights."""
+    run = TrainingRun(config, folder, CPU)
+    for count, _ in enumerate(run.train(), start=1):
+        if count == stop_after:
+            run = TrainingRun(config, folder, CPU)
+            run.load_checkpoint()
+            assert run.steps == config.validation_every
+            for _ in run.train():
+                pass
+            break
+    return {name: value.detach().clone() for name, value in run.sac.actor.items()}
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path) -> None:
+    first = weights_after(TINY, tmp_path / "a")
+    again = weights_after(TINY, tmp_path / "b")
+    other = weights_after(dataclasses.replace(TINY, seed=1), tmp_path / "c")
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not torch.equal(first["view"], other["view"])
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path) -> None:
+    whole = weights_after(TINY, tmp_path / "whole")
+    stopped = weights_after(TINY, tmp_path / "stopped", stop_after=1)
+    assert all(torch.equal(whole[name], stopped[name]) for name in whole)
+
+
+def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
+    run = TrainingRun(TINY, tmp_path, CPU)
+    results = list(run.train())
+    model = load_model(tmp_path / "tiny.safetensors")
+    assert [each.steps for each in results] == [80, 160]
+    assert model.card["validation"]["share_of_bound"] == pytest.approx(run.best_share, abs=1e-4)
+    assert model.card["training"]["seed"] == 0
+    assert model.card["config"]["sac"]["channels"] == 4
+
+
+def test_an_ablation_learns_but_is_not_kept_as_a_model(tmp_path) -> None:
+    run = TrainingRun(dataclasses.replace(TINY, ablation="mlp"), tmp_path, CPU)
+    assert [each.updates for each in run.train()] == [9, 24]
+    assert not list(tmp_path.glob("tiny*"))
+
+
+def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path) -> None:
+    weights_after(TINY, tmp_path)
+    with pytest.raises(InvalidInput, match="another configuration"):
+        TrainingRun(dataclasses.replace(TINY, batch=16), tmp_path, CPU).load_checkpoint()
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
+    with pytest.raises(InvalidInput, match="cannot be read"):
+        TrainingRun(TINY, tmp_path, CPU).load_checkpoint()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("steps: 0", "steps must be at least 1"),
+        ("seed: -1", "seed must be at least 0"),
+        ("stepps: 5", "unknown field stepps"),
+        ("steps: many", "steps must be of type int"),
+        ("steps: true", "steps must be of type int"),
+        ("updates: .nan", "updates must be above 0"),
+        ("gamma: 1.5", "gamma must be over 0"),
+        ("decay_from: 1.0", "decay_from must be from 0"),
+        ("entropy: [1.0]", "entropy must be a list of 2"),
+        ("warm_up_steps: 10", "warm_up_steps must be at least"),
+        ("replay: 5000", "replay must be at least twice"),
+        ("ablation: everything", "ablation must be one of"),
+        ("sac: {channels: 0}", "sac: channels must be at least 1"),
+        ("sac: {tau: 0.0}", "sac: tau must be over 0"),
+        ("sac: 3", "sac must be a mapping"),
+        ("worlds: {sides: [9.0, 3.0]}", "worlds: sides must be two rising numbers"),
+        ("worlds: {paper_share: 2.0}", "worlds: paper_share must be from 0 to 1"),
+        ("- a list", "must be a mapping"),
+        ("a: [", "is not YAML"),
+    ],
+)
+def test_a_wrong_configuration_names_the_field(tmp_path, text, words) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=words):
+        read_config(path)
