@@ -6,6 +6,7 @@ of two hidden layers of 256 and the same batch and number of updates per step.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
@@ -61,10 +62,7 @@ def training_gain_error(paths: int = 50) -> BenchRow:
         cells = ((waypoints - origin) / terrain.grid.cell).astype(np.float32)
         unit = terrain.unit / (2.0 * terrain.radius * terrain.step)
         unseen.see(cells[:1], cells[:1])
-        ours = [
-            float(unseen.see(a[None], b[None])[0]) * unit
-            for a, b in zip(cells[:-1], cells[1:], strict=True)
-        ]
+        ours = [float(unseen.see(a[None], b[None])[0]) * unit for a, b in itertools.pairwise(cells)]
         path = SearchPath(waypoints, problem.swath_radius)
         exact = np.diff(path.probability_at_waypoints(problem.pdm))
         errors.append((np.array(ours) - exact) / exact.mean())

@@ -120,7 +120,7 @@ def run_evaluation(
     if tasks:
         # Compile into the cache once here, not in every worker at the same time.
         warm_up(evaluation.scenario, evaluation.planners, evaluation.seed)
-        with _parallel(jobs, dask) as parallel:
+        with parallel_pool(jobs, dask) as parallel:
             for fresh in parallel(joblib.delayed(evaluate_map)(*task) for task in tasks):
                 records.extend(fresh)
                 if store:
@@ -143,7 +143,7 @@ def _tasks(
 
 
 @contextmanager
-def _parallel(jobs: int, dask: str | None) -> Iterator[joblib.Parallel]:
+def parallel_pool(jobs: int, dask: str | None) -> Iterator[joblib.Parallel]:
     """Give a joblib pool on the local cores or on a Dask cluster."""
     if dask is None:
         yield joblib.Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")

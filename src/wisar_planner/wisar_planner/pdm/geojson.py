@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 import shapely
@@ -20,7 +20,7 @@ from shapely.geometry.polygon import orient
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.geodesy import LocalFrame
 
-Area = Polygon | MultiPolygon
+Area: TypeAlias = Polygon | MultiPolygon
 
 _WGS84_NAMES = ("CRS84", "EPSG::4326", "EPSG:4326")
 

@@ -29,7 +29,7 @@ MODEL_HELP = "Trained policy: name of a shipped one, or path of a .safetensors f
 
 @dataclass(frozen=True)
 class SacPolicy(OptionedPlanner):
-    """One flight of a policy trained by soft actor-critic (Haarnoja et al. 2018; Ewers et al. 2024).
+    """One flight of a policy trained by soft actor-critic (Haarnoja 2018, Ewers 2024).
 
     At each step the most likely turn is flown. Where the policy finds no whole step that stays in
     the area, the greedy planner plans.

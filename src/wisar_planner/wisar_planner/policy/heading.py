@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace, device
@@ -29,14 +31,20 @@ def actor_distribution(output: Array) -> tuple[Array, Array]:
     xp = array_namespace(output)
     logits = output[0] - xp.max(output[0], axis=-1, keepdims=True)
     weights = xp.exp(logits)
-    angles = (2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)).astype(np.float32)
-    cosines = xp.asarray(np.cos(angles), device=device(output))
-    sines = xp.asarray(np.sin(angles), device=device(output))
+    cosines, sines = _unit_vectors(xp, device(output))
     turn = xp.atan2(xp.sum(weights * sines, axis=-1), xp.sum(weights * cosines, axis=-1))
     action = xp.clip(turn / math.pi, -_ALMOST_ONE, _ALMOST_ONE)
     certainty = xp.tanh(xp.mean(output[1], axis=-1))
     log_std = _LOG_STD_MIN + 0.5 * (_LOG_STD_MAX - _LOG_STD_MIN) * (certainty + 1.0)
     return xp.atanh(action), log_std
+
+
+@lru_cache
+def _unit_vectors(xp: Any, where: Any) -> tuple[Array, Array]:
+    """Return cosines and sines of the directions in an array library, on a device."""
+    angles = 2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+    cosines, sines = (f(angles).astype(np.float32) for f in (np.cos, np.sin))
+    return xp.asarray(cosines, device=where), xp.asarray(sines, device=where)
 
 
 def value_at(values: Array, action: Array) -> Array:

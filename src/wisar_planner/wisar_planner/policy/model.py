@@ -105,7 +105,8 @@ def find_model(name: str) -> Path:
     known = sorted({p.stem for folder in shipped for p in folder.glob("*.safetensors")})
     listed = f"the shipped ones are {', '.join(known)}" if known else "none is installed"
     raise InvalidInput(
-        f"model: {name!r} is neither a shipped model ({listed}) nor a path that ends in .safetensors"
+        f"model: {name!r} is neither a shipped model ({listed}) nor a path that ends in "
+        ".safetensors"
     )
 
 
@@ -147,7 +148,8 @@ def _read_card(path: Path) -> dict[str, Any]:
         card = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InvalidInput(
-            f"model: its card {path} cannot be read ({error.strerror}); it stands beside the weights"
+            f"model: its card {path} cannot be read ({error.strerror}); it belongs beside the "
+            "weights"
         ) from None
     except ValueError as error:
         raise InvalidInput(f"model: its card {path} is not JSON: {error}") from None

@@ -24,8 +24,8 @@ Parameters = Mapping[str, Array]
 #: Where each direction lies in the mirror image.
 MIRROR = -np.arange(DIRECTIONS) % DIRECTIONS
 
-# Spreads a ring kernel k to the matrix M[j, i] = k[(i - j) % DIRECTIONS], flat; as a matrix product,
-# whose gradient is one, too.
+# Spreads a ring kernel k to the matrix M[j, i] = k[(i - j) % DIRECTIONS], flat; as a matrix
+# product, whose gradient is one, too.
 _TURN = (np.arange(DIRECTIONS)[None, :] - np.arange(DIRECTIONS)[:, None]) % DIRECTIONS
 _SPREAD = np.eye(DIRECTIONS, dtype=np.float32)[:, _TURN.reshape(-1)]
 
@@ -88,11 +88,8 @@ def forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
     row = xp.matmul(parameters["numbers"], numbers.T[None]) + parameters["bias"]
     hidden = xp.matmul(parameters["view"], columns).reshape((networks, channels, batch, directions))
     hidden = _relu(xp, hidden + row[..., None]).reshape((networks, channels, -1))
-    spread = xp.asarray(_SPREAD, device=device(view))
     for block in range(sum(name.startswith("ring") for name in parameters)):
-        ring = xp.matmul(parameters[f"ring{block}"], spread).reshape(
-            (networks, channels, directions, directions)
-        )
+        ring = _matrices(parameters[f"ring{block}"])
         turned = xp.matmul(hidden.reshape((networks, channels, batch, directions)), ring).reshape(
             (networks, channels, -1)
         )
@@ -100,6 +97,14 @@ def forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
         hidden = hidden + _relu(xp, mixed)
     output = xp.matmul(parameters["output"], hidden) + parameters["output_bias"]
     return output.reshape((networks, -1, batch, directions))
+
+
+def spread_rings(parameters: Parameters) -> dict[str, Array]:
+    """Return parameters for `forward` with the work done that does not depend on its input."""
+    return {
+        name: _matrices(value) if name.startswith("ring") else value
+        for name, value in parameters.items()
+    }
 
 
 def symmetric_forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
@@ -114,6 +119,15 @@ def symmetric_forward(parameters: Parameters, view: Array, numbers: Array) -> Ar
     both = xp.concat([view, view[:, MIRROR, :]], axis=0)
     output = forward(parameters, both, xp.concat([numbers, numbers], axis=0))
     return 0.5 * (output[:, :, :batch] + output[:, :, batch:, MIRROR])
+
+
+def _matrices(ring: Array) -> Array:
+    """Return ring kernels, (networks, channels, DIRECTIONS), as matrices; matrices as they are."""
+    if ring.ndim == 4:
+        return ring
+    xp = array_namespace(ring)
+    spread = xp.asarray(_SPREAD, device=device(ring))
+    return xp.matmul(ring, spread).reshape((*ring.shape, DIRECTIONS))
 
 
 def _relu(xp: Any, x: Array) -> Array:

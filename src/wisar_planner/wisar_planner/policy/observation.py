@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from array_api_compat import array_namespace, device
 
 from wisar_planner.policy.unseen_map import RATIO, Array, UnseenMap
@@ -61,19 +64,12 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
         Steps that they have left.
     """
     xp = array_namespace(position)
-    where = device(position)
-
-    def constant(value: Any) -> Array:
-        return xp.asarray(np.asarray(value, dtype=np.float32), device=where)
-
-    angles = heading[:, None] + constant(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
+    fixed = _constants(xp, device(position))
+    angles = heading[:, None] + fixed.directions
     unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
     parts = []
-    for level, (low, high) in enumerate(
-        ((0.0, MIDDLE_FROM), (MIDDLE_FROM, COARSE_FROM), (COARSE_FROM, math.inf))
-    ):
-        distances = DISTANCES[(low <= DISTANCES) & (high > DISTANCES)]
-        reach = unseen.step[:, None] * constant(distances)  # (B, R)
+    for level, distances in enumerate(fixed.distances):
+        reach = unseen.step[:, None] * distances  # (B, R)
         points = position[:, None, None, :] + unit[:, :, None, :] * reach[:, None, :, None]
         parts.append(unseen.interpolated(level, points))
     parts.append(step_gains(unseen, position, unit)[..., None])
@@ -111,20 +107,53 @@ def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:
         Unit vectors of the steps.
     """
     xp = array_namespace(position)
-    where = device(position)
-    # Midpoints of a square grid on the swath before it is bent by the disc's front.
-    across = (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0).astype(np.float32)
-    along = ((np.arange(_ALONG) + 0.5) / _ALONG).astype(np.float32)
-    front = np.sqrt(1.0 - across**2)
-    u, v = (each.reshape(-1) for each in np.meshgrid(along, across, indexing="ij"))
-    w = np.broadcast_to(front, (_ALONG, _ACROSS)).reshape(-1)
-    u, v, w = (xp.asarray(np.ascontiguousarray(each), device=where) for each in (u, v, w))
+    u, v, w = _constants(xp, device(position)).swath
     ahead = (u * unseen.step[:, None] + w * unseen.radius[:, None])[:, None, :]
     aside = (v * unseen.radius[:, None])[:, None, :]
     x = position[:, 0, None, None] + ahead * unit[..., 0, None] - aside * unit[..., 1, None]
     y = position[:, 1, None, None] + ahead * unit[..., 1, None] + aside * unit[..., 0, None]
     density = unseen.nearest(xp.stack([x, y], axis=-1))
     return xp.mean(xp.maximum(density, 0.0), axis=-1)
+
+
+class _Constants(NamedTuple):
+    """Fixed arrays of the observation.
+
+    Attributes
+    ----------
+    directions : (A,)
+        Directions from the last heading, rad.
+    distances : LEVELS arrays
+        Distances that are read from each level, in steps.
+    swath : three (P,) arrays
+        Points on a step's swath: share of the way along and across (-1 to 1) before it is bent by
+        the disc's front, and how far the front bulges there, in swath radii.
+    """
+
+    directions: Array
+    distances: tuple[Array, ...]
+    swath: tuple[Array, ...]
+
+
+@lru_cache
+def _constants(xp: Any, where: Any) -> _Constants:
+    """Return the fixed arrays in an array library, on a device."""
+
+    def array(value: npt.NDArray[Any]) -> Array:
+        return xp.asarray(np.ascontiguousarray(value, dtype=np.float32), device=where)
+
+    limits = (0.0, MIDDLE_FROM, COARSE_FROM, math.inf)
+    along = (np.arange(_ALONG) + 0.5) / _ALONG
+    across = 2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0
+    u, v = (each.reshape(-1) for each in np.meshgrid(along, across, indexing="ij"))
+    return _Constants(
+        array(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)),
+        tuple(
+            array(DISTANCES[(low <= DISTANCES) & (high > DISTANCES)])
+            for low, high in itertools.pairwise(limits)
+        ),
+        (array(u), array(v), array(np.sqrt(1.0 - v**2))),
+    )
 
 
 def cells_per_step(radius: Array) -> Array:

@@ -14,7 +14,7 @@ from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
 from wisar_planner.policy.heading import actor_distribution
 from wisar_planner.policy.model import Weights
-from wisar_planner.policy.network import symmetric_forward
+from wisar_planner.policy.network import spread_rings, symmetric_forward
 from wisar_planner.policy.observation import (
     cells_per_step,
     observe,
@@ -147,6 +147,7 @@ def fly(
     def cells(points: FloatArray) -> npt.NDArray[np.float32]:
         return ((points - origin) / terrain.grid.cell).astype(np.float32)
 
+    weights = spread_rings(weights)
     swath = 2.0 * terrain.radius * terrain.step
     seen = unseen.see(cells(position), cells(position)) * (terrain.unit / swath)
     waypoints = [position]

@@ -150,7 +150,7 @@ class UnseenMap:
         return xp.minimum(xp.maximum(cells, 0.0), most)
 
     def _values(self, xp: Any, level: int, cells: Array, shift: int = 0) -> Array:
-        """Return the values of cells given by whole numbers, moved by a shift of the flat raster."""
+        """Return the values of cells given by whole numbers, moved by a shift of the flat one."""
         raster = self.levels[level]
         rows, columns = raster.shape[1:]
         first = (self._searches * (rows * columns) + shift).reshape((-1, *(1,) * (cells.ndim - 2)))

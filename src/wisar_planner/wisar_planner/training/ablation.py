@@ -6,6 +6,7 @@ policy itself; they cannot be shipped.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -132,7 +133,7 @@ def _mlp_parameters(
     """Return random parameters of a perceptron with two hidden layers, as the paper's kind."""
     widths = [DIRECTIONS * VIEW_WIDTH + NUMBERS, _WIDTH, _WIDTH, outputs * DIRECTIONS]
     parameters = {}
-    for i, (fan_in, fan_out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for i, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
         scale = math.sqrt(2.0 / fan_in) * (0.1 if i == 2 else 1.0)
         weights = scale * rng.standard_normal((networks, fan_in, fan_out))
         parameters[f"weights{i}"] = weights.astype(np.float32)

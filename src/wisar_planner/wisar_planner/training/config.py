@@ -131,7 +131,7 @@ def read_config(path: Path, **overrides: Any) -> TrainingConfig:
         raise InvalidInput(f"{path} is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise InvalidInput(f"{path} must be a mapping of fields, see config/sac.yaml")
-    return _build(TrainingConfig, {**content, **overrides}, str(path))
+    return build(TrainingConfig, {**content, **overrides}, str(path))
 
 
 def as_dict(config: TrainingConfig) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def as_dict(config: TrainingConfig) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
-def _build(kind: type[Any], content: dict[str, Any], where: str) -> Any:
+def build(kind: type[Any], content: dict[str, Any], where: str) -> Any:
     """Make a dataclass of plain values, which must have the types of its fields."""
     types = typing.get_type_hints(kind)
     known = {each.name: each for each in dataclasses.fields(kind)}
@@ -158,7 +158,7 @@ def _value(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind):
         if not isinstance(value, dict):
             raise InvalidInput(f"{where} must be a mapping, not {value!r}")
-        return _build(typing.cast(type[Any], kind), value, where)
+        return build(typing.cast(type[Any], kind), value, where)
     if typing.get_origin(kind) is tuple:
         kinds = typing.get_args(kind)
         if not isinstance(value, list | tuple) or len(value) != len(kinds):

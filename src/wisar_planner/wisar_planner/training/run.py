@@ -179,7 +179,7 @@ class TrainingRun:
     def _card(self, validation: Validation) -> dict[str, Any]:
         return {
             "name": self.config.name,
-            "what": "Search policy: a squashed Gaussian over the next turn, see wisar_planner.policy",
+            "what": "search policy, a squashed Gaussian over the next turn; see docs/policy.md",
             "algorithm": "soft actor-critic, twin critics, learned temperature",
             "config": as_dict(self.config),
             "training": {

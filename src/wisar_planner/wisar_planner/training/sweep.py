@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.evaluation.runner import _parallel
+from wisar_planner.evaluation.runner import parallel_pool
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.network import PATH_EXTRACTORS
 from wisar_planner.training.paper.run import PaperRun
@@ -212,7 +212,7 @@ def run_sweep(
     records = {each.index: each for each in known if each.index < sweep.samples}
     missing = [index for index in range(sweep.samples) if index not in records]
     if missing:
-        with _parallel(jobs, dask) as parallel:
+        with parallel_pool(jobs, dask) as parallel:
             tasks = (joblib.delayed(run_sample)(i, sweep.sample(i), device) for i in missing)
             for record in parallel(tasks):
                 records[record.index] = record

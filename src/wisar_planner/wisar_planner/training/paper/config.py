@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import TrainingConfig, _build, read_config
+from wisar_planner.training.config import TrainingConfig, build, read_config
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
@@ -116,7 +116,7 @@ def read_any_config(path: Path, **overrides: Any) -> TrainingConfig | PaperConfi
             f"{path}: algorithm must be {ALGORITHM}, or left out for the shipped policy's, "
             f"not {content['algorithm']!r}"
         )
-    config: PaperConfig = _build(PaperConfig, {**content, **overrides}, str(path))
+    config: PaperConfig = build(PaperConfig, {**content, **overrides}, str(path))
     return config
 
 
