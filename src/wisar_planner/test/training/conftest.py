@@ -1,6 +1,42 @@
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
+from wisar_planner.training import worlds as module
+from wisar_planner.training.worlds import WorldDistribution
+
+#: Kinds of worlds that trainings draw.
+KINDS = {
+    "paper": WorldDistribution(),
+    "varied": WorldDistribution(paper_share=0.0),
+    "mixed": WorldDistribution(paper_share=0.5),
+    "narrow": WorldDistribution(
+        paper_share=0.0, sides=(3.0, 5.0), modes=1, radii=(0.1, 1.0), budgets=(1, 4)
+    ),
+}
+
+
+@pytest.fixture(params=KINDS)
+def distribution(request):
+    return KINDS[request.param]
+
+
+@pytest.fixture
+def generator():
+    return torch.Generator().manual_seed(3)
+
+
+@pytest.fixture
+def mixtures(monkeypatch):
+    """Collect the mixtures of the worlds that are drawn: (weights, means, deviations, turn)."""
+    drawn = []
+    density = module._density
+
+    def spy(side, *mixture):
+        drawn.append([each.double().numpy() for each in mixture])
+        return density(side, *mixture)
+
+    monkeypatch.setattr(module, "_density", spy)
+    return drawn
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -18,7 +18,7 @@ from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.problem import SearchProblem
 
 # Flights with random turns after the one with the most likely turns.
-_RANDOM_FLIGHTS = 32
+_RANDOM_FLIGHTS = 16
 # Flights side by side.
 _BATCH = 16
 
