@@ -29,6 +29,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.gis import load_map
 from wisar_sim.nodes.operator import Operator
 from wisar_sim.processes import (
+    WITHOUT_SHARED_MEMORY,
     ProcessDied,
     ProcessGroup,
     RosDomain,
@@ -129,7 +130,7 @@ def main(arguments: list[str] | None = None) -> int:
     settings.out.mkdir(parents=True, exist_ok=True)
     # Two demos at once on one machine must not hear each other.
     domain = RosDomain()
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ.update({"ROS_DOMAIN_ID": str(domain.number), **WITHOUT_SHARED_MEMORY})
     try:
         if make_map:
             script = ROOT / "scripts" / "make_demo_map.py"

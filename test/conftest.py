@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -16,12 +17,15 @@ from wisar_planner.pdm.gis import save_mixture
 from wisar_planner.search import SearchArea
 from wisar_sim.nodes.operator import Operator
 from wisar_sim.processes import (
+    WITHOUT_SHARED_MEMORY,
     ProcessGroup,
     RosDomain,
     executable,
     free_udp_port,
     ros_arguments,
 )
+
+os.environ.update(WITHOUT_SHARED_MEMORY)  # for the operator here and all it starts
 
 SCENE = {"swath_radius": 10.0, "step_length": 25.0, "max_distance": 1500.0}
 """A small search that plans in milliseconds."""

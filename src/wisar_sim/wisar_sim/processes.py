@@ -66,6 +66,11 @@ def _yaml(value: Any) -> str:
     return repr(value)
 
 
+#: Environment of processes that come and go, and may be killed: no shared memory between them. Fast
+#: DDS finds the remains of killed participants there, and now and then a message is lost to them.
+WITHOUT_SHARED_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+
+
 class RosDomain:
     """A ROS domain of this machine that nobody else uses while this object is open.
 

@@ -149,3 +149,17 @@ def test_a_model_that_is_not_there_is_refused(name, paper_problem):
     planner = make_planner(name, model="none")
     with pytest.raises(InvalidInput, match="'none' is neither a shipped model"):
         planner.plan(paper_problem(9))
+
+
+def test_the_shipped_model_keeps_what_its_card_promises() -> None:
+    """On the card's first maps exactly, and within the sampling error of its 1,000 maps."""
+    stated = trained_policy("sac").card["evaluation"]
+    check = stated["check"]
+    scenario, planner = RandomMaps(), make_planner("sac")
+    reached = [
+        planner.plan(problem).probability_efficiency(problem)
+        for problem in (scenario.problem(stated["seed"], i) for i in range(check["maps"]))
+    ]
+    assert np.mean(reached) == pytest.approx(check["e_p_mean"], rel=5e-3)
+    error = stated["e_p_std"] / np.sqrt(check["maps"])
+    assert abs(np.mean(reached) - stated["e_p_mean"]) < 4.0 * error
