@@ -281,7 +281,7 @@ def test_upload_verify_and_fly_to_the_end(simulated: Callable[..., str], target:
         assert REAL is not None
         connection, patience = REAL, 600.0
     else:
-        connection, patience = simulated(target, "--speed-up", "20"), 60.0
+        connection, patience = simulated(target, "--speed-up", "6"), 90.0
     with MissionClient(connection) as client:
         client.wait_heartbeat(60.0)
         vehicle = located(client)

@@ -28,8 +28,8 @@ class SacSearch(Lookahead):
     """Flights of the trained policy, refined by annealing.
 
     First the policy flies its most likely turns, so that there is a good plan at once, then
-    flights with random turns. The best are refined as in `Lookahead`, which starts from greedy
-    rollouts instead.
+    flights with random turns; where time is left, the greedy rollouts that `Lookahead` starts from
+    join them. The best are refined as there.
     """
 
     name: ClassVar[str] = "sac_search"
@@ -39,7 +39,7 @@ class SacSearch(Lookahead):
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
     ) -> list[Found]:
-        """Return flights of the policy; greedy rollouts where it finds no way in the area."""
+        """Return flights of the policy, where it finds a way in the area, and greedy rollouts."""
         weights = trained_policy(self.model).weights
         terrain = Terrain.of(problem)
         rng = np.random.default_rng(self.seed)
@@ -60,7 +60,9 @@ class SacSearch(Lookahead):
                 monitor.report(probability, 0.0)
             if monitor.stopped() or monitor.spent() > FIRST_SHARE:
                 break
-        return found or super()._first_paths(problem, raster, monitor)
+        if found and (monitor.stopped() or monitor.spent() > FIRST_SHARE):
+            return found
+        return found + super()._first_paths(problem, raster, monitor)
 
     def _valued(self, raster: SearchRaster, path: FloatArray) -> tuple[Found, float]:
         """Return a path in metres with its value on the raster, and the probability it sees."""
