@@ -7,10 +7,10 @@ from scipy import stats
 
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
+from wisar_planner.evaluation.sweep import Sweep, SweepRecord
+from wisar_planner.evaluation.sweep_report import markdown, save_figures
+from wisar_planner.evaluation.sweep_statistics import summarise
 from wisar_planner.training.paper.config import PaperConfig
-from wisar_planner.training.sweep import Sweep, SweepRecord
-from wisar_planner.training.sweep_report import markdown, save_figures
-from wisar_planner.training.sweep_statistics import summarise
 
 TINY = {
     "algorithm": "paper_sac",

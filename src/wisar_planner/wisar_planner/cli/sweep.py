@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wisar_planner.training.sweep import Sweep, SweepRecord
-    from wisar_planner.training.sweep_store import SweepStore
+    from wisar_planner.evaluation.sweep import Sweep, SweepRecord
+    from wisar_planner.evaluation.sweep_store import SweepStore
 
 _EXAMPLES = """\
 examples:
@@ -88,11 +88,11 @@ def run(args: argparse.Namespace) -> int:
             "a sweep needs PyTorch and statsmodels, which planning does not: "
             "run `make train-setup` first"
         ) from None
+    from wisar_planner.evaluation.sweep import Sweep
+    from wisar_planner.evaluation.sweep_report import markdown, save_figures
+    from wisar_planner.evaluation.sweep_statistics import summarise
+    from wisar_planner.evaluation.sweep_store import SweepStore
     from wisar_planner.training.paper.config import read_paper_config
-    from wisar_planner.training.sweep import Sweep
-    from wisar_planner.training.sweep_report import markdown, save_figures
-    from wisar_planner.training.sweep_statistics import summarise
-    from wisar_planner.training.sweep_store import SweepStore
 
     try:
         torch.zeros(1, device=args.device)
@@ -136,7 +136,7 @@ def _with_progress(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
-    from wisar_planner.training.sweep import run_sweep
+    from wisar_planner.evaluation.sweep import run_sweep
 
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("samples"), BarColumn(), MofNCompleteColumn(), Remaining())

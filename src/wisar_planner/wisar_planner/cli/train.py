@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wisar_planner.training.paper.run import PaperRun
-    from wisar_planner.training.run import TrainingRun, Validation
+    from wisar_planner.training.records import Validation
+    from wisar_planner.training.run import TrainingRun
 
 _EXAMPLES = """\
 examples:
@@ -64,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     from wisar_planner.training.paper.config import PaperConfig, read_any_config
     from wisar_planner.training.paper.run import PaperRun
+    from wisar_planner.training.records import has_checkpoint
     from wisar_planner.training.run import TrainingRun
 
     given = {"seed": args.seed, "steps": args.steps}
@@ -82,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         training = PaperRun(config, folder, device)
     else:
         training = TrainingRun(config, folder, device)
-    if (folder / "checkpoint.safetensors").exists():
+    if has_checkpoint(folder):
         training.load_checkpoint()
         print(f"continuing {folder} at {training.steps:,} of {config.steps:,} steps")
     _follow(training)
@@ -90,10 +92,9 @@ def run(args: argparse.Namespace) -> int:
         args.json.parent.mkdir(parents=True, exist_ok=True)
         curve = [vars(each) for each in training.validations]
         args.json.write_text(json.dumps(curve, indent=1) + "\n", encoding="utf-8")
-    print(
-        f"best policy: {folder / config.name}.safetensors, {training.best_share:.1%} of the bound "
-        f"on the validation maps"
-    )
+    model = folder / f"{config.name}.safetensors"
+    kept = str(model) if model.exists() else "not kept, since it is an ablation"
+    print(f"best policy: {kept}; {training.best_share:.1%} of the bound on the validation maps")
     return 0
 
 

@@ -14,6 +14,7 @@ import yaml
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.ablation import check_ablation
 from wisar_planner.training.sac import SacSettings
+from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
 
 
@@ -82,7 +83,6 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         for name, least in (
-            ("seed", 0),
             ("steps", 1),
             ("environments", 1),
             ("batch", 1),
@@ -98,6 +98,7 @@ class TrainingConfig:
                 raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
         if not 0.0 <= self.decay_from < 1.0:
             raise InvalidInput(f"decay_from must be from 0 to below 1, not {self.decay_from}")
+        check_seed(self.seed)
         check_ablation(self.ablation)
         if not 0.0 < self.gamma <= 1.0:
             raise InvalidInput(f"gamma must be over 0 and at most 1, not {self.gamma}")
@@ -125,13 +126,25 @@ def read_config(path: Path, **overrides: Any) -> TrainingConfig:
     InvalidInput
         When the file cannot be read, names an unknown field, or a value cannot be right.
     """
+    config: TrainingConfig = build(TrainingConfig, {**read_yaml(path), **overrides}, str(path))
+    return config
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Return the fields in a YAML file.
+
+    Raises
+    ------
+    InvalidInput
+        When the file is not YAML or no mapping.
+    """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path} is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise InvalidInput(f"{path} must be a mapping of fields, see config/sac.yaml")
-    return build(TrainingConfig, {**content, **overrides}, str(path))
+    return content
 
 
 def as_dict(config: TrainingConfig) -> dict[str, Any]:

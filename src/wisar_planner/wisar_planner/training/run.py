@@ -2,59 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import math
-import platform
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
-from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import save_model
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.ablation import make_environment, make_network
 from wisar_planner.training.config import TrainingConfig, as_dict
+from wisar_planner.training.records import (
+    Validation,
+    card_of,
+    make_optimizer_tensors,
+    optimizer_tensors,
+    read_checkpoint,
+    write_checkpoint,
+)
 from wisar_planner.training.replay import Replay
 from wisar_planner.training.sac import Sac
+from wisar_planner.training.streams import training_generator, validation_generator
 from wisar_planner.training.worlds import WorldDistribution
-
-# Streams of random numbers that no seed of a training run can reach: its generator gets the seed
-# itself. The final evaluation draws its maps with NumPy, from `wisar evaluate`'s own streams.
-_VALIDATION_SEED = 2**40
-
-
-@dataclass(frozen=True)
-class Validation:
-    """How good the policy was at some point of its training.
-
-    Attributes
-    ----------
-    steps, updates : int
-        Steps flown and updates made until then.
-    seconds : float
-        Time spent on them, s, without that of validations.
-    efficiency : float
-        Mean probability efficiency e_p on the validation maps.
-    share : float
-        Mean share of the bound, the most probable ground that fits into the swath.
-    figures : dict of str to float
-        Means of the figures of the updates since the last validation.
-    """
-
-    steps: int
-    updates: int
-    seconds: float
-    efficiency: float
-    share: float
-    figures: dict[str, float]
 
 
 class TrainingRun:
@@ -72,7 +46,7 @@ class TrainingRun:
 
     def __init__(self, config: TrainingConfig, folder: Path, device: torch.device) -> None:
         self.config, self.folder, self.device = config, folder, device
-        self.generator = torch.Generator(device=device).manual_seed(config.seed)
+        self.generator = training_generator(config.seed, device)
         self.environment = make_environment(
             config.ablation, config.environments, config.worlds, self.generator, stagger=True
         )
@@ -163,12 +137,7 @@ class TrainingRun:
         )
         result = Validation(self.steps, self.updates, self.seconds, efficiency, share, figures)
         self.validations.append(result)
-        for name, value in (
-            ("validation/e_p", efficiency),
-            ("validation/share_of_bound", share),
-            *((f"training/{name}", value) for name, value in figures.items()),
-        ):
-            log.add_scalar(name, value, self.steps)
+        result.log(log)
         better, self.best_share = share > self.best_share, max(share, self.best_share)
         if better and not self.config.ablation:
             weights = {name: value.detach().cpu().numpy() for name, value in self.sac.actor.items()}
@@ -178,35 +147,14 @@ class TrainingRun:
 
     def _card(self, validation: Validation) -> dict[str, Any]:
         return {
-            "name": self.config.name,
             "what": "search policy, a squashed Gaussian over the next turn; see docs/policy.md",
-            "algorithm": "soft actor-critic, twin critics, learned temperature",
-            "config": as_dict(self.config),
-            "training": {
-                "seed": self.config.seed,
-                "steps": validation.steps,
-                "updates": validation.updates,
-                "wall_time_s": round(validation.seconds, 1),
-                "hardware": hardware(self.device),
-                "versions": {
-                    "python": platform.python_version(),
-                    "torch": torch.__version__,
-                    "numpy": np.__version__,
-                },
-            },
-            "validation": {
-                "maps": self.config.validation_maps,
-                "e_p": round(validation.efficiency, 4),
-                "share_of_bound": round(validation.share, 4),
-                "note": "estimated on the training raster, on maps that chose this checkpoint",
-            },
+            **card_of(as_dict(self.config), validation, self.config.validation_maps, self.device),
         }
 
     # Checkpoints
 
     def save_checkpoint(self) -> None:
         """Write all that the run needs to go on as if it had not stopped."""
-        tensors = {name: value.contiguous() for name, value in _tensors_of(self).items()}
         counters = {
             "steps": self.steps,
             "updates": self.updates,
@@ -217,9 +165,7 @@ class TrainingRun:
             "config": as_dict(self.config),
             "validations": [vars(each) for each in self.validations],
         }
-        new = self.folder / "checkpoint.new"
-        save_file(tensors, new, metadata={"counters": json.dumps(counters)})
-        new.replace(self.folder / "checkpoint.safetensors")
+        write_checkpoint(self.folder, _tensors_of(self), counters)
 
     def load_checkpoint(self) -> None:
         """Go on from the folder's checkpoint.
@@ -229,23 +175,8 @@ class TrainingRun:
         InvalidInput
             When it cannot be read or belongs to another configuration.
         """
-        path = self.folder / "checkpoint.safetensors"
-        try:
-            stored = load_file(path, device=str(self.device))
-            with path.open("rb") as file:
-                header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
-            counters = json.loads(header["__metadata__"]["counters"])
-        except Exception as error:  # safetensors raises its own kinds
-            raise InvalidInput(f"{path} cannot be read: {error}") from None
-        if counters["config"] != json.loads(json.dumps(as_dict(self.config))):
-            raise InvalidInput(
-                f"{path} belongs to another configuration; take another folder or remove it"
-            )
-        # Adam makes its state at the first step; give it one to be overwritten.
-        for optimizer in self.sac.optimizers.values():
-            for parameter in optimizer.param_groups[0]["params"]:
-                parameter.grad = torch.zeros_like(parameter)
-            optimizer.step()
+        stored, counters = read_checkpoint(self.folder, as_dict(self.config), self.device)
+        make_optimizer_tensors(self.sac.optimizers)
         with torch.no_grad():
             for name, tensor in _tensors_of(self).items():
                 tensor.copy_(stored[name])
@@ -269,10 +200,7 @@ def _tensors_of(run: TrainingRun) -> dict[str, Tensor]:
     ):
         found |= {f"{owner}.{name}": value.detach() for name, value in values.items()}
     found["temperature"] = run.sac.log_temperature.detach()
-    for name, optimizer in run.sac.optimizers.items():
-        for i, parameter in enumerate(optimizer.param_groups[0]["params"]):
-            for key, value in optimizer.state[parameter].items():
-                found[f"optimizer.{name}.{i}.{key}"] = value
+    found |= dict(optimizer_tensors(run.sac.optimizers))
     return found
 
 
@@ -299,8 +227,7 @@ def fly_validation(
     ablation : str
         The policy's ablation.
     """
-    generator = torch.Generator(device=device).manual_seed(_VALIDATION_SEED)
-    environment = make_environment(ablation, maps, worlds, generator)
+    environment = make_environment(ablation, maps, worlds, validation_generator(device))
     unseen, steps = environment.unseen, environment.steps.clone()
     in_area = environment.in_area.clone()
     step_area = (2.0 * unseen.radius * unseen.step).clone()
@@ -312,16 +239,3 @@ def fly_validation(
         seen += searching * reward * step_area
         searching = searching * ~done
     return float((seen / in_area).mean()), float((seen / swept).mean())
-
-
-def hardware(device: torch.device) -> str:
-    """Return what the training ran on, in words."""
-    if device.type == "cuda":
-        return torch.cuda.get_device_name(device)
-    model = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        model = next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
-    except (OSError, StopIteration):
-        pass
-    return f"{torch.get_num_threads()} thread(s) of {model}"

@@ -18,6 +18,7 @@ from torch import Tensor
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
 from wisar_planner.policy.observation import Observation
+from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.ablation import Network, make_network
 from wisar_planner.training.replay import Batch
 
@@ -177,7 +178,7 @@ class Sac:
             output = self._network.symmetric_forward(self.actor, *observation)[0]
             return torch.tanh(actor_distribution(output)[0])
         mean, log_std = self._policy(observation)
-        return torch.tanh(mean + log_std.exp() * _normal(mean, generator))
+        return squashed_gaussian.sample(mean, log_std, mean.shape, generator)[0]
 
     def _policy(self, observation: Observation) -> tuple[Tensor, Tensor]:
         return actor_distribution(self._network.forward(self.actor, *observation)[0])
@@ -191,19 +192,11 @@ class Sac:
     ) -> tuple[Tensor, Tensor]:
         """Return actions and the logarithms of their probability densities, (B, M) each."""
         mean, log_std = (x[:, None] for x in self._policy(observation))
-        noise = _normal(mean.expand(-1, self.settings.action_samples), generator)
-        raw = mean + log_std.exp() * noise
-        # log(1 - tanh^2), in a form that does not round to log(0).
-        squash = 2.0 * (math.log(2.0) - raw - torch.nn.functional.softplus(-2.0 * raw))
-        log_normal = -0.5 * noise.square() - log_std - 0.5 * math.log(2.0 * math.pi)
-        return torch.tanh(raw), log_normal - squash
+        shape = torch.Size((len(mean), self.settings.action_samples))
+        return squashed_gaussian.sample(mean, log_std, shape, generator)
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimizer = self.optimizers[name]
         optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-
-
-def _normal(like: Tensor, generator: torch.Generator) -> Tensor:
-    return torch.randn(like.shape, generator=generator, device=like.device)

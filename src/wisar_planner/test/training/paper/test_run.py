@@ -66,7 +66,7 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
         ({"algorithm": "ppo"}, "algorithm must be paper_sac"),
         ({"speed": 3}, "unknown field speed"),
         ({"steps": 0}, "steps must be at least 1"),
-        ({"seed": -1}, "seed must not be negative"),
+        ({"seed": -1}, "seed must be at least 0"),
         ({"buffer_size": 0}, "buffer_size must be at least 1"),
         ({"learning_starts": -5}, "learning_starts must not be negative"),
         ({"train_every": "often"}, "train_every must be of type int"),

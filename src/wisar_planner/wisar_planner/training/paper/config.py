@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import TrainingConfig, build, read_config
+from wisar_planner.training.config import TrainingConfig, build, read_yaml
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
+from wisar_planner.training.streams import check_seed
 
 #: What a file's field `algorithm` says.
 ALGORITHM = "paper_sac"
@@ -72,8 +71,7 @@ class PaperConfig:
     def __post_init__(self) -> None:
         if self.algorithm != ALGORITHM:
             raise InvalidInput(f"algorithm must be {ALGORITHM}, not {self.algorithm!r}")
-        if self.seed < 0:
-            raise InvalidInput(f"seed must not be negative, not {self.seed}")
+        check_seed(self.seed)
         for name in (
             "steps",
             "environments",
@@ -105,19 +103,17 @@ def read_any_config(path: Path, **overrides: Any) -> TrainingConfig | PaperConfi
         When the file cannot be read, names an unknown algorithm or field, or a value cannot be
         right.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError):
-        content = None  # what is wrong with it, read_config says
-    if not isinstance(content, dict) or "algorithm" not in content:
-        return read_config(path, **overrides)
+    content = {**read_yaml(path), **overrides}
+    if "algorithm" not in content:
+        config: TrainingConfig = build(TrainingConfig, content, str(path))
+        return config
     if content["algorithm"] != ALGORITHM:
         raise InvalidInput(
             f"{path}: algorithm must be {ALGORITHM}, or left out for the shipped policy's, "
             f"not {content['algorithm']!r}"
         )
-    config: PaperConfig = build(PaperConfig, {**content, **overrides}, str(path))
-    return config
+    paper: PaperConfig = build(PaperConfig, content, str(path))
+    return paper
 
 
 def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:

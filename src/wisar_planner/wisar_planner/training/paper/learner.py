@@ -19,6 +19,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.training.paper.network import Actor, Critics, NetworkSettings
 from wisar_planner.training.paper.observation import Layout
 from wisar_planner.training.paper.replay import Batch
+from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
 
 _TARGET_ENTROPY = -1.0
 
@@ -171,19 +172,12 @@ class Learner:
             ("targets", self.targets),
         ):
             found |= {f"{name}.{key}": value for key, value in module.state_dict().items()}
-        for name, optimizer in self.optimizers.items():
-            for i, parameter in enumerate(optimizer.param_groups[0]["params"]):
-                for key, value in optimizer.state[parameter].items():
-                    found[f"optimizer.{name}.{i}.{key}"] = value
+        found |= dict(optimizer_tensors(self.optimizers))
         return found
 
     def load(self, stored: dict[str, Tensor]) -> None:
         """Take over tensors as `tensors` returned them."""
-        # Adam makes its state at the first step; give it one to be overwritten.
-        for optimizer in self.optimizers.values():
-            for parameter in optimizer.param_groups[0]["params"]:
-                parameter.grad = torch.zeros_like(parameter)
-            optimizer.step()
+        make_optimizer_tensors(self.optimizers)
         with torch.no_grad():
             for name, tensor in self.tensors().items():
                 tensor.copy_(stored[name])

@@ -8,7 +8,6 @@ kernel, so that any number of waypoints will do.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.paper.observation import Layout
 
 # Limits of the logarithm of the standard deviation, those of Stable-Baselines3.
@@ -157,12 +157,7 @@ class Actor(nn.Module):
     def sample(self, observation: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return random actions and the logarithms of their probability densities, (B,) each."""
         mean, log_std = self(observation)
-        noise = torch.randn(mean.shape, generator=generator, device=mean.device)
-        raw = mean + log_std.exp() * noise
-        # log(1 - tanh^2), in a form that does not round to log(0).
-        squash = 2.0 * (math.log(2.0) - raw - nn.functional.softplus(-2.0 * raw))
-        log_normal = -0.5 * noise.square() - log_std - 0.5 * math.log(2.0 * math.pi)
-        return torch.tanh(raw), log_normal - squash
+        return squashed_gaussian.sample(mean, log_std, mean.shape, generator)
 
 
 class Critics(nn.Module):

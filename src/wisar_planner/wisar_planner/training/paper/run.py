@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import platform
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
@@ -21,10 +20,13 @@ from wisar_planner.training.paper.environment import PaperEnvironment, TaskSetti
 from wisar_planner.training.paper.learner import Learner
 from wisar_planner.training.paper.observation import is_inside
 from wisar_planner.training.paper.replay import Replay
-from wisar_planner.training.run import Validation, hardware
-
-# As in training.run: no seed of a training run gives the maps that policies are judged on.
-_VALIDATION_SEED = 2**40
+from wisar_planner.training.records import (
+    Validation,
+    card_of,
+    read_checkpoint,
+    write_checkpoint,
+)
+from wisar_planner.training.streams import training_generator, validation_generator
 
 
 class PaperRun:
@@ -42,7 +44,7 @@ class PaperRun:
 
     def __init__(self, config: PaperConfig, folder: Path | None, device: torch.device) -> None:
         self.config, self.folder, self.device = config, folder, device
-        self.generator = torch.Generator(device=device).manual_seed(config.seed)
+        self.generator = training_generator(config.seed, device)
         self.environment = PaperEnvironment(config.environments, config.task, self.generator)
         self.learner = Learner(config.sac, config.network, config.task.layout, config.seed, device)
         # No run needs a memory for more steps than it flies.
@@ -86,7 +88,7 @@ class PaperRun:
                 figures.clear()
                 result = self._validated(means)
                 if log is not None:
-                    _log(log, result)
+                    result.log(log)
                 yield result
                 began = time.monotonic()
         if log is not None:
@@ -136,25 +138,11 @@ class PaperRun:
         """Write the actor's weights and a card beside them."""
         path = folder / f"{self.config.name}.safetensors"
         save_file({k: v.contiguous() for k, v in self.learner.actor.state_dict().items()}, path)
+        config = dataclasses.asdict(self.config)
         card = {
-            "name": self.config.name,
             "what": "The paper's policy: a squashed Gaussian over the absolute heading",
-            "algorithm": "soft actor-critic, twin critics, learned temperature",
-            "config": dataclasses.asdict(self.config),
             "parameters": self.learner.parameters,
-            "training": {
-                "steps": result.steps,
-                "updates": result.updates,
-                "wall_time_s": round(result.seconds, 1),
-                "hardware": hardware(self.device),
-                "versions": {"python": platform.python_version(), "torch": torch.__version__},
-            },
-            "validation": {
-                "maps": self.config.validation_maps,
-                "e_p": round(result.efficiency, 4),
-                "share_of_bound": round(result.share, 4),
-                "note": "estimated on the training raster, on maps that chose this checkpoint",
-            },
+            **card_of(config, result, self.config.validation_maps, self.device),
         }
         path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
 
@@ -174,13 +162,7 @@ class PaperRun:
             "validations": [vars(each) for each in self.validations],
         }
         tensors = {"generator": self.generator.get_state()} | self._tensors()
-        new = self.folder / "checkpoint.new"
-        save_file(
-            {name: value.contiguous() for name, value in tensors.items()},
-            new,
-            metadata={"counters": json.dumps(counters)},
-        )
-        new.replace(self.folder / "checkpoint.safetensors")
+        write_checkpoint(self.folder, tensors, counters)
 
     def load_checkpoint(self) -> None:
         """Go on from the folder's checkpoint.
@@ -192,18 +174,8 @@ class PaperRun:
         """
         if self.folder is None:
             raise InvalidInput("folder: a run without a folder has no checkpoint")
-        path = self.folder / "checkpoint.safetensors"
-        try:
-            stored = load_file(path, device=str(self.device))
-            with path.open("rb") as file:
-                header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
-            counters: dict[str, Any] = json.loads(header["__metadata__"]["counters"])
-        except Exception as error:  # safetensors raises its own kinds
-            raise InvalidInput(f"{path} cannot be read: {error}") from None
-        if counters["config"] != json.loads(json.dumps(dataclasses.asdict(self.config))):
-            raise InvalidInput(
-                f"{path} belongs to another configuration; take another folder or remove it"
-            )
+        config = dataclasses.asdict(self.config)
+        stored, counters = read_checkpoint(self.folder, config, self.device)
         self.learner.load(stored)
         for name, tensor in self.replay.tensors().items():
             tensor.copy_(stored[f"replay.{name}"])
@@ -218,23 +190,13 @@ class PaperRun:
         return self.learner.tensors() | replay
 
 
-def _log(log: SummaryWriter, result: Validation) -> None:
-    for name, value in (
-        ("validation/e_p", result.efficiency),
-        ("validation/share_of_bound", result.share),
-        *((f"training/{name}", value) for name, value in result.figures.items()),
-    ):
-        log.add_scalar(name, value, result.steps)
-    log.flush()
-
-
 class Judgement(NamedTuple):
     """How good a policy is on the validation maps.
 
     Attributes
     ----------
     efficiency, share : float
-        Mean e_p and mean share of the bound, as in `training.run.validate`.
+        Mean e_p and mean share of the bound, as in `training.run.fly_validation`.
     out_of_area : float
         Share of the steps that end outside the area.
     """
@@ -259,8 +221,7 @@ def validate(learner: Learner, task: TaskSettings, maps: int, device: torch.devi
     device : torch.device
         Where to compute.
     """
-    generator = torch.Generator(device=device).manual_seed(_VALIDATION_SEED)
-    environment = PaperEnvironment(maps, task, generator)
+    environment = PaperEnvironment(maps, task, validation_generator(device))
     for _ in range(task.waypoints):
         environment.step(learner.act(environment.observe(), None))
     outside = ~is_inside(environment.path[:, 1:])

@@ -18,7 +18,7 @@ import torch
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.paper.config import PaperConfig, read_paper_config
 from wisar_planner.training.paper.run import PaperRun
-from wisar_planner.training.run import hardware
+from wisar_planner.training.records import hardware
 
 
 def measure(config: PaperConfig, device: torch.device, seconds: float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wisar_planner.evaluation.palette import looks
-from wisar_planner.training.sweep_statistics import SIZES
+from wisar_planner.evaluation.sweep_statistics import SIZES
 
 _LABELS = {
     "layers": "layers of the core",

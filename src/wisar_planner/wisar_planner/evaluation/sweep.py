@@ -19,10 +19,10 @@ import torch
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.runner import parallel_pool
+from wisar_planner.evaluation.sweep_store import SweepStore
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.network import PATH_EXTRACTORS
 from wisar_planner.training.paper.run import PaperRun
-from wisar_planner.training.sweep_store import SweepStore
 
 
 @dataclass(frozen=True)

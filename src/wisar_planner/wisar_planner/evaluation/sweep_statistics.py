@@ -11,7 +11,7 @@ import statsmodels.api as sm  # type: ignore[import-untyped]
 from scipy import stats
 
 from wisar_planner.errors import FloatArray
-from wisar_planner.training.sweep import Sweep, SweepRecord
+from wisar_planner.evaluation.sweep import Sweep, SweepRecord
 
 #: What e_p is regressed on; the last one follows from the others.
 SIZES = ("layers", "width", "path_features", "parameters")
