@@ -154,4 +154,4 @@ def test_it_learns_to_turn_to_the_wanted_direction(generator):
         action = 2.0 * torch.rand(64, generator=generator) - 1.0
         batch = Batch(now, action, worth(action, goal), now, torch.zeros(64))
         sac.update(batch, -1.0, 1.0, generator)
-    assert float(worth(sac.act(test, None), wanted).mean()) > 0.85
+    assert float(worth(sac.act(test, None), wanted).mean()) > 0.9
