@@ -77,8 +77,10 @@ class Terrain(NamedTuple):
             for length in high - low
         )
         grid = Grid(low[0] - edge * cell, low[1] - edge * cell, cell, columns, rows)
-        density = np.asarray(problem.pdm.rasterize(grid), dtype=np.float32)
         centres = grid.centres().reshape(-1, 2)
+        # At the centres, as in training: a tenth of the time of the exact mass of every cell.
+        density = (problem.pdm.density(centres) * cell**2).astype(np.float32)
+        density = density.reshape(rows, columns)
         seen_from_inside = problem.area.polygon.buffer(problem.swath_radius)
         shapely.prepare(seen_from_inside)
         inside = shapely.contains_xy(seen_from_inside, *centres.T).reshape(density.shape)
