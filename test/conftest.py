@@ -86,6 +86,17 @@ class Suite:
                 pytest.fail(f"waited {timeout:g} s for {what}")
             time.sleep(0.02)
 
+    def wait_for_flight(self) -> None:
+        """Wait until the operator has the map, the plan and the end of its flight.
+
+        They come on topics of their own, in any order.
+        """
+        seen = self.operator
+        self.wait(
+            lambda: seen.map and seen.plan and seen.progress and seen.progress.finished,
+            "the map, its plan and the flight's end",
+        )
+
 
 @pytest.fixture
 def suite(tmp_path: Path) -> Iterator[Suite]:

@@ -21,7 +21,7 @@ def test_a_map_becomes_a_verified_mission(suite, mixture_file, profile: str) -> 
     suite.start_drone()
     suite.start_bridge()
     operator = suite.operator
-    suite.wait(lambda: operator.progress and operator.progress.finished, "the flight's end")
+    suite.wait_for_flight()
     plan, progress = operator.plan, operator.progress
     assert progress.distance == pytest.approx(plan.length)
     assert progress.map_id == plan.map_id == operator.map.id

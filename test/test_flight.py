@@ -46,6 +46,7 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, profile
     suite.wait(lambda: operator.mission.state == MissionStatus.FLYING, "the flight")
     assert operator.mission.armed
     suite.wait(lambda: operator.mission.state == MissionStatus.COMPLETED, "the flight's end", 90.0)
+    suite.wait(lambda: operator.plan, "the plan")
     status, plan = operator.mission, operator.plan
     # The vehicle cuts corners within its acceptance radius; what it saw is near the promise.
     assert status.distance == pytest.approx(plan.length, rel=0.15)

@@ -154,7 +154,7 @@ def test_a_wrong_plan_is_refused_by_drone_and_bridge(suite, mixture_file) -> Non
     suite.start_drone()
     suite.start_bridge()
     operator = suite.operator
-    suite.wait(lambda: operator.progress and operator.progress.finished, "the first flight")
+    suite.wait_for_flight()
     flown = operator.progress
     publisher = operator.node.create_publisher(SearchPlan, "plan", LATCHED)
     suite.wait(lambda: publisher.get_subscription_count() >= 3, "drone and bridge")
@@ -186,7 +186,7 @@ def test_a_plan_of_another_map_waits_and_is_not_uploaded_by_mistake(suite, mixtu
     suite.start_drone()
     suite.start_bridge()
     operator = suite.operator
-    suite.wait(lambda: operator.progress and operator.progress.finished, "the first flight")
+    suite.wait_for_flight()
     stale = copy.deepcopy(operator.plan)
     stale.map_id = "another map"
     publisher = operator.node.create_publisher(SearchPlan, "plan", LATCHED)
