@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from rclpy.action import ActionClient
 
+from wisar_msgs.action import UploadMission
 from wisar_planner.pdm import GaussianMixture
 from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_planner.pdm.gis import save_mixture
@@ -86,16 +88,24 @@ class Suite:
                 pytest.fail(f"waited {timeout:g} s for {what}")
             time.sleep(0.02)
 
-    def wait_for_flight(self) -> None:
-        """Wait until the operator has the map, the plan and the end of its flight.
+    # Topics keep no order among each other: that one message is here says nothing of the others.
 
-        They come on topics of their own, in any order.
-        """
+    def wait_for_plan(self) -> None:
+        """Wait until the operator has the map, the plan and its path."""
         seen = self.operator
-        self.wait(
-            lambda: seen.map and seen.plan and seen.progress and seen.progress.finished,
-            "the map, its plan and the flight's end",
-        )
+        self.wait(lambda: seen.map and seen.plan and seen.path, "map, plan and path")
+
+    def wait_for_flight(self) -> None:
+        """Wait until the operator has the map, the plan, its path and the flight's end."""
+        self.wait_for_plan()
+        seen = self.operator
+        self.wait(lambda: seen.progress and seen.progress.finished, "the flight's end")
+
+    def wait_for_bridge(self) -> None:
+        """Wait until the operator has the bridge's status and its action takes requests."""
+        self.wait(lambda: self.operator.mission, "the bridge's status")
+        upload = ActionClient(self.operator.node, UploadMission, "upload_mission")
+        self.wait(upload.server_is_ready, "the bridge's action")
 
 
 @pytest.fixture

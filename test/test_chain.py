@@ -74,7 +74,7 @@ def download_waypoints(port: int) -> np.ndarray:
 def test_who_starts_late_still_gets_map_plan_and_path(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.path, "the first plan")
+    suite.wait_for_plan()
     with Operator(domain=suite.domain) as late:
         suite.wait(lambda: late.map and late.plan and late.path, "the late subscriber's messages")
         assert late.plan == suite.operator.plan
@@ -85,7 +85,7 @@ def test_who_starts_late_still_gets_map_plan_and_path(suite, mixture_file) -> No
 def test_the_planned_path_is_what_the_plan_says(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the plan")
+    suite.wait_for_plan()
     plan = suite.operator.plan
     path = SearchPath(np.column_stack((plan.x, plan.y)), plan.swath_radius)
     mixture = conversions.map_from_msg(suite.operator.map).pdm

@@ -32,6 +32,7 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, profile
     suite.start_planner(max_distance=800.0)
     suite.start_bridge(speed=10.0, fence=True, rally=True)
     operator = suite.operator
+    suite.wait_for_plan()
     # Without an explicit position there is no rally point: wait for the vehicle.
     suite.wait(
         lambda: operator.mission and operator.mission.latitude == pytest.approx(56.79),
@@ -46,7 +47,6 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, profile
     suite.wait(lambda: operator.mission.state == MissionStatus.FLYING, "the flight")
     assert operator.mission.armed
     suite.wait(lambda: operator.mission.state == MissionStatus.COMPLETED, "the flight's end", 90.0)
-    suite.wait(lambda: operator.plan, "the plan")
     status, plan = operator.mission, operator.plan
     # The vehicle cuts corners within its acceptance radius; what it saw is near the promise.
     assert status.distance == pytest.approx(plan.length, rel=0.15)
@@ -69,7 +69,8 @@ def test_unsafe_missions_are_refused_before_the_upload(suite, mixture_file, tmp_
     assert "endurance" in result.error_text
     assert "altitude" in result.error_text
     assert operator.mission.state != MissionStatus.VERIFIED
-    assert all(map(Path.exists, files))
+    # The bridge tells of the plan before it has written the files.
+    suite.wait(lambda: all(map(Path.exists, files)), "the plan files")
 
 
 def test_an_unknown_vehicle_refuses_requests_in_words(suite) -> None:

@@ -67,7 +67,7 @@ def test_a_goal_is_planned_published_and_returned(suite, mixture_file) -> None:
     assert (result.error_code, result.error_text) == (result.NONE, "")
     assert (result.plan.planner, result.plan.budget) == ("lawnmower", 700.0)
     assert list(result.plan.start) == [-250.0, -200.0]
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the published plan")
+    suite.wait_for_plan()
     assert suite.operator.plan == result.plan
 
 
@@ -79,7 +79,7 @@ def test_errors_are_numbered_and_say_what_to_do(suite, mixture_file) -> None:
     assert "pdm_server" in result.error_text
     assert asker.status == GoalStatus.STATUS_ABORTED
     suite.start_map(mixture_file)
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     good = suite.operator.plan
     for goal, code, words in (
         ({"planner": "gredy"}, result.UNKNOWN_PLANNER, "greedy"),
@@ -100,7 +100,7 @@ def test_errors_are_numbered_and_say_what_to_do(suite, mixture_file) -> None:
 def test_feedback_then_cancel_returns_the_best_so_far(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner("greedy")
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     good = suite.operator.plan
     asker = Asker(suite)
     asker.send(planner="lookahead", time_budget=60.0)
@@ -120,7 +120,7 @@ def test_feedback_then_cancel_returns_the_best_so_far(suite, mixture_file) -> No
 def test_a_new_map_ends_planning_on_the_old_one(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner("greedy")
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     asker = Asker(suite)
     asker.send(planner="lookahead", time_budget=60.0)
     suite.wait(lambda: asker.feedback, "feedback")
@@ -138,7 +138,7 @@ def test_a_new_map_ends_planning_on_the_old_one(suite, mixture_file) -> None:
 def test_every_planner_can_be_asked_for_by_name(suite, mixture_file, planner: str) -> None:
     suite.start_map(mixture_file)
     suite.start_planner(planner)
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, f"the plan of {planner}")
+    suite.wait_for_plan()
     plan = suite.operator.plan
     assert plan.planner == planner
     assert 0.0 < plan.probability_efficiency <= plan.upper_bound

@@ -14,25 +14,23 @@ from wisar_msgs.srv import LoadPdm
 def test_a_killed_planner_that_is_restarted_plans_again(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     first = suite.operator.plan
     suite.processes.kill("planner")
     suite.operator.plan = None
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the restarted planner's plan")
+    suite.wait_for_plan()
     assert (suite.operator.plan.map_id, suite.operator.plan.x) == (first.map_id, first.x)
 
 
 def test_a_killed_map_server_leaves_the_planner_working(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     suite.processes.kill("pdm_server")
     suite.operator.plan = None
     suite.start_map(mixture_file)
-    suite.wait(
-        lambda: suite.operator.map and suite.operator.plan, "the plan of the restarted server's map"
-    )
+    suite.wait_for_plan()
 
 
 def load(suite, path: Path):
@@ -46,7 +44,7 @@ def load(suite, path: Path):
 def test_load_pdm_replaces_the_map_and_the_plan_follows(suite, mixture_file, write_mixture) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     first = suite.operator.plan
     answer = load(suite, write_mixture("moved.geojson", shift=150.0))
     assert answer.success, answer.message
@@ -84,7 +82,7 @@ def test_load_pdm_takes_a_raster_in_degrees(suite, tmp_path) -> None:
 def test_a_file_that_is_no_map_is_refused_and_the_map_stays(suite, mixture_file, tmp_path) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     good_map, good_plan = suite.operator.map, suite.operator.plan
     corrupt = tmp_path / "corrupt.tif"
     corrupt.write_bytes(b"II*\0 this is no raster")

@@ -93,7 +93,7 @@ WRONG_MAPS: dict[Callable[[ProbabilityMap], None], str] = {
 def test_a_wrong_map_is_refused_and_the_plan_stays(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     good_map, good_plan = suite.operator.map, suite.operator.plan
     publisher = suite.operator.node.create_publisher(ProbabilityMap, "pdm", LATCHED)
     suite.wait(lambda: publisher.get_subscription_count() >= 2, "the planner's subscription")
@@ -193,12 +193,14 @@ def test_a_plan_of_another_map_waits_and_is_not_uploaded_by_mistake(suite, mixtu
     suite.wait(lambda: publisher.get_subscription_count() >= 3, "drone and bridge")
     flown = operator.progress
     publisher.publish(stale)
-    suite.wait(lambda: "waits for that map" in suite.log("sim_drone"), "the drone's warning")
+    warning = "plan of map 'another map' waits for that map"
+    suite.wait(lambda: warning in suite.log("sim_drone"), "the drone's warning")
     assert operator.progress == flown
     suite.wait(
         lambda: operator.mission and operator.mission.planned_map_id == "another map",
         "the bridge's plan",
     )
+    suite.wait_for_bridge()
     operator.request_upload(flown.map_id)
     suite.wait(lambda: operator.upload_result, "the bridge's answer")
     assert operator.upload_result.error_code == operator.upload_result.WRONG_MAP
@@ -208,7 +210,7 @@ def test_a_plan_of_another_map_waits_and_is_not_uploaded_by_mistake(suite, mixtu
 def test_an_upload_without_plan_or_link_says_so(suite, mixture_file) -> None:
     suite.start_bridge()
     operator = suite.operator
-    suite.wait(lambda: operator.mission, "the bridge's status")
+    suite.wait_for_bridge()
     assert operator.mission.state == MissionStatus.NO_LINK
     operator.request_upload()
     suite.wait(lambda: operator.upload_result, "the answer without a plan")
@@ -236,7 +238,7 @@ WRONG_PARAMETERS = (
 def test_a_wrong_parameter_is_refused(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     good = suite.operator.plan
     for name, value in WRONG_PARAMETERS:
         result = set_parameter(suite, name, value)
@@ -249,7 +251,7 @@ def test_a_wrong_parameter_is_refused(suite, mixture_file) -> None:
 def test_a_parameter_change_replans(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
-    suite.wait(lambda: suite.operator.map and suite.operator.plan, "the first plan")
+    suite.wait_for_plan()
     assert set_parameter(suite, "max_distance", 600.0).successful
     suite.wait(lambda: suite.operator.plan.budget == 600.0, "the plan of the new budget")
 
