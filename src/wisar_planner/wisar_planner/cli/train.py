@@ -21,10 +21,12 @@ examples:
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
       on a GPU
+  wisar train config/sac.yaml --ablation mlp --out out/mlp
+      without one of its parts, see docs/policy.md
   wisar train config/paper_sac.yaml --out out/paper
       the paper's own policy
   tensorboard --logdir out
-      the curves
+      the curves, live; `wisar curves out/*` compares runs
 
 The best policy by validation is out/.../sac.safetensors with its card sac.json; plan with it by
 `wisar plan ... --planner sac --option model=out/sac/sac.safetensors`."""
@@ -45,6 +47,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--seed", type=int, metavar="S", help="seed instead of the file's")
     parser.add_argument("--steps", type=int, metavar="N", help="steps instead of the file's")
+    parser.add_argument(
+        "--ablation", metavar="NAME", help="part to leave out, e.g. mlp or no_step_gain"
+    )
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument(
         "--threads", type=int, default=0, metavar="N", help="CPU threads (default: all cores)"
@@ -68,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.training.records import has_checkpoint
     from wisar_planner.training.run import TrainingRun
 
-    given = {"seed": args.seed, "steps": args.steps}
+    given = {"seed": args.seed, "steps": args.steps, "ablation": args.ablation}
     config = read_any_config(args.config, **{k: v for k, v in given.items() if v is not None})
     if args.threads:
         torch.set_num_threads(args.threads)

@@ -142,11 +142,9 @@ def read_checkpoint(
         When it cannot be read or belongs to another configuration.
     """
     path = folder / _CHECKPOINT
+    counters = read_counters(folder)
     try:
         stored = load_file(path, device=str(device))
-        with path.open("rb") as file:
-            header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
-        counters = json.loads(header["__metadata__"]["counters"])
     except Exception as error:  # safetensors raises its own kinds
         raise InvalidInput(f"{path} cannot be read: {error}") from None
     if counters["config"] != json.loads(json.dumps(config)):
@@ -154,6 +152,28 @@ def read_checkpoint(
             f"{path} belongs to another configuration; take another folder or remove it"
         )
     return stored, counters
+
+
+def read_counters(folder: Path) -> dict[str, Any]:
+    """Return what the folder's checkpoint says beside its tensors: configuration, validations, ...
+
+    Raises
+    ------
+    InvalidInput
+        When there is no checkpoint or it cannot be read.
+    """
+    path = folder / _CHECKPOINT
+    try:
+        with path.open("rb") as file:
+            header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
+        counters: dict[str, Any] = json.loads(header["__metadata__"]["counters"])
+    except FileNotFoundError:
+        raise InvalidInput(f"{folder} holds no {_CHECKPOINT}; give the folder of a run") from None
+    except (ValueError, KeyError, OverflowError, MemoryError) as error:
+        raise InvalidInput(f"{path} cannot be read: {error}") from None
+    if not counters["validations"]:
+        raise InvalidInput(f"{path} is from before the first validation")
+    return counters
 
 
 def optimizer_tensors(optimizers: Optimizers) -> Iterator[tuple[str, Tensor]]:

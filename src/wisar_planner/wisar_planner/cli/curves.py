@@ -1,0 +1,56 @@
+"""`wisar curves`: compare trainings by their validations."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+_EXAMPLES = """\
+examples:
+  wisar curves out/train/sac-0 out/train/sac-1 out/train/sac-2
+      mean and spread of three seeds
+  wisar curves out/train/* --markdown out/curves.md --figure out/curves.png
+      all runs, at equal samples and at equal time
+
+Runs of one configuration that differ in the seed are one line of the table."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "curves",
+        help="compare trainings: table and learning curves",
+        description="Compare trainings by what they left in their folders.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a training")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the curves, e.g. .png")
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the table and write what was asked for."""
+    from wisar_planner.errors import InvalidInput
+
+    try:
+        import torch  # noqa: F401
+    except ImportError:
+        raise InvalidInput(
+            "curves come from trainings, which need PyTorch: run `make train-setup` first"
+        ) from None
+    from wisar_planner.evaluation.training_curves import draw, markdown, read_curve
+
+    curves = [read_curve(folder) for folder in args.runs]
+    table = markdown(curves)
+    print(table, end="")
+    for path in (args.markdown, args.figure):
+        if path:
+            path.parent.mkdir(parents=True, exist_ok=True)
+    if args.markdown:
+        args.markdown.write_text(table, encoding="utf-8")
+    if args.figure:
+        draw(curves).savefig(args.figure, dpi=160)
+    return 0

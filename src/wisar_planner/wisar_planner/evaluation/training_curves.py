@@ -1,0 +1,132 @@
+"""How trainings compare: their validations over samples and over time, several seeds together."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from wisar_planner.evaluation.palette import looks
+from wisar_planner.training.records import Validation, read_counters
+
+#: Mean probability efficiency on the paper's setup that a training is timed to.
+GOAL = 0.28
+
+
+@dataclass(frozen=True)
+class TrainingCurve:
+    """The validations of one run.
+
+    Attributes
+    ----------
+    policy : str
+        What was trained: the configuration's name, and what it leaves out.
+    seed : int
+        Its seed.
+    validations : sequence of Validation
+        In the order of the training; at least one.
+    """
+
+    policy: str
+    seed: int
+    validations: Sequence[Validation]
+
+    @property
+    def best(self) -> Validation:
+        """The validation whose policy is kept."""
+        return max(self.validations, key=lambda each: each.share)
+
+    @property
+    def minutes_to_goal(self) -> float | None:
+        """Training time until the first validation at `GOAL`, minutes; None where none was."""
+        reached = (each.seconds for each in self.validations if each.efficiency >= GOAL)
+        seconds = next(reached, None)
+        return None if seconds is None else seconds / 60.0
+
+
+def read_curve(folder: Path) -> TrainingCurve:
+    """Return the curve that a run left in its folder.
+
+    Raises
+    ------
+    InvalidInput
+        When the folder holds no checkpoint that can be read, or none with a validation.
+    """
+    counters = read_counters(folder)
+    config = counters["config"]
+    without = config.get("ablation") or ""
+    return TrainingCurve(
+        policy=f"{config['name']}, {without.replace('_', ' ')}" if without else config["name"],
+        seed=config["seed"],
+        validations=[Validation(**each) for each in counters["validations"]],
+    )
+
+
+def markdown(curves: Iterable[TrainingCurve]) -> str:
+    """Return a table with a line per policy, the best first; ± is the spread over seeds."""
+    lines = [
+        f"| policy | seeds | steps | minutes | minutes to e_p {GOAL} | e_p | share of the bound |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    groups = _by_policy(curves)
+    for policy in sorted(groups, key=lambda name: -_mean(c.best.share for c in groups[name])):
+        runs = groups[policy]
+        last = [run.validations[-1] for run in runs]
+        reached = [run.minutes_to_goal for run in runs if run.minutes_to_goal is not None]
+        goal = f"{_mean(reached):.1f}" if len(reached) == len(runs) else "not reached"
+        lines.append(
+            f"| {policy} | {len(runs)} | {_mean(each.steps for each in last):,.0f} "
+            f"| {_mean(each.seconds for each in last) / 60.0:.1f} | {goal} "
+            f"| {_spread([run.best.efficiency for run in runs], '{:.4f}')} "
+            f"| {_spread([100.0 * run.best.share for run in runs], '{:.1f}')}% |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def draw(curves: Sequence[TrainingCurve]) -> Figure:
+    """Return the share of the bound over samples and over time, a line per run."""
+    figure = Figure(figsize=(9.6, 4.2), layout="constrained")
+    groups = _by_policy(curves)
+    styles = looks(list(groups))
+    for axes, label, along in (
+        (figure.add_subplot(1, 2, 1), "steps flown", lambda each: each.steps),
+        (figure.add_subplot(1, 2, 2), "training time, min", lambda each: each.seconds / 60.0),
+    ):
+        for policy, runs in groups.items():
+            for i, run in enumerate(runs):
+                axes.plot(
+                    [along(each) for each in run.validations],
+                    [100.0 * each.share for each in run.validations],
+                    color=styles[policy].colour,
+                    linestyle=styles[policy].dash,
+                    linewidth=1.3,
+                    label=policy if i == 0 else None,
+                )
+        axes.set_xscale("log")
+        axes.set_xlabel(label)
+        axes.grid(alpha=0.3)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    figure.axes[0].set_ylabel("share of the bound on the validation maps, %")
+    figure.axes[0].legend(frameon=False, fontsize=8, loc="lower right")
+    return figure
+
+
+def _by_policy(curves: Iterable[TrainingCurve]) -> dict[str, list[TrainingCurve]]:
+    groups: dict[str, list[TrainingCurve]] = {}
+    for curve in curves:
+        groups.setdefault(curve.policy, []).append(curve)
+    return groups
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
+
+
+def _spread(values: Sequence[float], form: str) -> str:
+    mean = form.format(statistics.mean(values))
+    return f"{mean} ± {form.format(statistics.stdev(values))}" if len(values) > 1 else mean
