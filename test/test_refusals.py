@@ -7,8 +7,9 @@ import math
 import time
 from collections.abc import Callable
 
+import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 
 from wisar_msgs.msg import MissionStatus, ProbabilityMap, Ring, SearchPlan
 from wisar_planner.nodes.qos import LATCHED
@@ -229,6 +230,7 @@ WRONG_PARAMETERS = (
     ("swath_radius", -1.0),
     ("step_length", 0.0),
     ("max_distance", math.nan),
+    ("max_distance", math.inf),
     ("start", [1.0, 2.0, 3.0]),
     ("start", [math.nan, 0.0]),
     ("lawnmower.lane_spacing", -5.0),
@@ -256,9 +258,62 @@ def test_a_parameter_change_replans(suite, mixture_file) -> None:
     suite.wait(lambda: suite.operator.plan.budget == 600.0, "the plan of the new budget")
 
 
-def set_parameter(suite, name: str, value: object):
-    client = suite.operator.node.create_client(SetParameters, "planner/set_parameters")
-    suite.wait(client.service_is_ready, "the planner's parameter service")
+@pytest.mark.parametrize(
+    ("package", "node", "name"),
+    [
+        ("wisar_planner", "mavlink_bridge", "end"),
+        ("wisar_planner", "mavlink_bridge", "altitude_frame"),
+        ("wisar_sim", "sim_drone", "method"),
+    ],
+)
+def test_a_word_that_is_no_choice_is_refused(suite, package: str, node: str, name: str) -> None:
+    suite.start(package, node)
+    result = set_parameter(suite, name, "teleport", node)
+    assert not result.successful
+    assert f"{name} must be one of" in result.reason
+    suite.processes.kill(node)
+    wrong_from_the_start = suite.start(package, node, **{name: "teleport"})
+    assert wrong_from_the_start.wait(timeout=60) == 2
+    assert f"{name} must be one of" in suite.log(node)
+
+
+@pytest.mark.parametrize(
+    ("package", "node"),
+    [
+        ("wisar_planner", "pdm_server"),
+        ("wisar_planner", "planner"),
+        ("wisar_planner", "mavlink_bridge"),
+        ("wisar_sim", "sim_drone"),
+    ],
+)
+def test_every_parameter_has_a_meaning_and_a_range(suite, package: str, node: str) -> None:
+    suite.start(package, node)
+    found = ask(suite, ListParameters, f"{node}/list_parameters", ListParameters.Request())
+    names = [name for name in found.result.names if not name.startswith(ROS_OWN)]
+    assert names
+    request = DescribeParameters.Request(names=names)
+    for each in ask(suite, DescribeParameters, f"{node}/describe_parameters", request).descriptors:
+        assert each.description, each.name
+        if each.type == ParameterType.PARAMETER_INTEGER:
+            assert each.integer_range, each.name
+        if each.type == ParameterType.PARAMETER_DOUBLE:
+            (limits,) = each.floating_point_range
+            assert math.isfinite(limits.from_value), each.name
+            assert math.isfinite(limits.to_value), each.name
+
+
+ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+def ask(suite, kind: type, service: str, request: object):
+    client = suite.operator.node.create_client(kind, service)
+    suite.wait(client.service_is_ready, service)
+    future = client.call_async(request)
+    suite.wait(future.done, f"the answer of {service}")
+    return future.result()
+
+
+def set_parameter(suite, name: str, value: object, node: str = "planner"):
     if isinstance(value, str):
         typed = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
     elif isinstance(value, list):
@@ -266,6 +321,4 @@ def set_parameter(suite, name: str, value: object):
     else:
         typed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
     request = SetParameters.Request(parameters=[Parameter(name=name, value=typed)])
-    future = client.call_async(request)
-    suite.wait(future.done, "the answer to set_parameters")
-    return future.result().results[0]
+    return ask(suite, SetParameters, f"{node}/set_parameters", request).results[0]

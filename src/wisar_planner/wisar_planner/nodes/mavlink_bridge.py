@@ -89,9 +89,7 @@ class MavlinkBridge(Node):
         self._action.destroy()
 
     def _declare_parameters(self) -> None:
-        def declare(
-            name: str, default: bool | int | float | str, text: str, **limits: float
-        ) -> None:
+        def declare(name: str, default: bool | int | float | str, text: str, **limits: Any) -> None:
             parameters.declare(self, name, default, text, read_only=name in fixed, **limits)
 
         fixed = {
@@ -109,8 +107,12 @@ class MavlinkBridge(Node):
         )
         declare("system_id", 245, "Own MAVLink system id", minimum=1, maximum=255)
         declare("component_id", 190, "Own MAVLink component id", minimum=1, maximum=255)
-        declare("target_system", 0, "Vehicle's system id; 0: the first heard", minimum=0)
-        declare("target_component", 0, "Its component id; 0: the first heard", minimum=0)
+        declare(
+            "target_system", 0, "Vehicle's system id; 0: the first heard", minimum=0, maximum=255
+        )
+        declare(
+            "target_component", 0, "Its component id; 0: the first heard", minimum=0, maximum=255
+        )
         declare("key_file", "", "File with the signing key; empty: no signing")
         declare(
             "altitude",
@@ -127,14 +129,24 @@ class MavlinkBridge(Node):
         )
         declare("speed", 10.0, "Ground speed, m/s; 0: the vehicle's own setting", minimum=0.0)
         declare("takeoff", True, "Whether the mission begins with a takeoff")
-        declare("end", "return_to_launch", "After the search: return_to_launch or loiter")
-        declare("altitude_frame", "relative", "Altitudes are relative (to launch) or terrain")
+        declare(
+            "end",
+            "return_to_launch",
+            "What follows the search",
+            choices=("return_to_launch", "loiter"),
+        )
+        declare(
+            "altitude_frame",
+            "relative",
+            "What altitudes refer to: relative to launch, or terrain",
+            choices=("relative", "terrain"),
+        )
         declare("camera_trigger", 0.0, "Distance between two pictures, m; 0: none", minimum=0.0)
         declare("fence", False, "Whether the search area is uploaded as a geofence")
         declare("fence_margin", 30.0, "How far outside the area the fence stands, m", minimum=0.0)
         declare("rally", False, "Whether the launch point is uploaded as a rally point")
-        declare("min_altitude", 2.0, "Lowest altitude allowed, m")
-        declare("max_altitude", 120.0, "Highest altitude allowed, m")
+        declare("min_altitude", 2.0, "Lowest altitude allowed, m", minimum=0.0)
+        declare("max_altitude", 120.0, "Highest altitude allowed, m", minimum=0.0)
         declare(
             "endurance",
             0.0,

@@ -12,12 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 from nav_msgs.msg import Path
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from wisar_msgs.action import PlanSearch
 from wisar_msgs.msg import ProbabilityMap, SearchPlan
@@ -72,7 +70,6 @@ class PlannerNode(Node):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
-        self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(lambda _: self._plan_automatically())
 
     def close(self) -> None:
@@ -84,8 +81,7 @@ class PlannerNode(Node):
     # Parameters
 
     def _declare_parameters(self) -> None:
-        names = ", ".join(planner_names())
-        parameters.declare(self, "planner", "sac_search", f"Planner to use, one of: {names}")
+        parameters.declare(self, "planner", "sac_search", "Planner to use", choices=planner_names())
         parameters.declare(
             self, "swath_radius", 2.5, "Half the width of the strip that is seen, m", minimum=0.01
         )
@@ -112,23 +108,9 @@ class PlannerNode(Node):
                     minimum=option.minimum,
                     maximum=option.maximum,
                 )
-        planner_options(self._parameter("planner"))
-        parameters.point(self, "start")
 
     def _parameter(self, name: str) -> str:
         return str(self.get_parameter(name).value)
-
-    def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
-        try:
-            for parameter in changed:
-                if parameter.name == "planner":
-                    planner_options(str(parameter.value))
-                elif parameter.name == "start":
-                    parameters.checked_point("start", parameter.value)
-        except InvalidInput as error:
-            self.get_logger().warning(f"parameter refused, the old value stays: {error}")
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
 
     # Planning when a map arrives
 

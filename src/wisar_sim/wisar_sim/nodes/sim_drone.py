@@ -6,9 +6,7 @@ import sys
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from wisar_msgs.msg import ProbabilityMap, SearchPlan, SearchProgress
 from wisar_planner.errors import InvalidInput
@@ -37,11 +35,13 @@ class SimDrone(Node):
         speed_up = parameters.declare(
             self, "speed_up", 1.0, "How many times faster than real time", minimum=0.001
         )
-        names = " or ".join(METHODS)
         parameters.declare(
-            self, "method", "cubature", f"How p_t is computed: {names} (cubature is the paper's)"
+            self,
+            "method",
+            "cubature",
+            "How p_t is computed; cubature is the paper's",
+            choices=tuple(METHODS),
         )
-        self._check_method(self.get_parameter("method").value)
         self._map: LocatedMap | None = None
         self._waiting: Plan | None = None  # until its map is here
         self._flight: tuple[HeadingDrone, Plan] | None = None
@@ -50,22 +50,7 @@ class SimDrone(Node):
         self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
         self.create_subscription(SearchPlan, "plan", self._on_plan, LATCHED)
         self._timer = self.create_timer(1.0 / (rate * speed_up), self._on_tick)
-        self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(lambda _: self._retime())
-
-    def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
-        try:
-            for parameter in changed:
-                if parameter.name == "method":
-                    self._check_method(parameter.value)
-        except InvalidInput as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    @staticmethod
-    def _check_method(method: object) -> None:
-        if method not in METHODS:
-            raise InvalidInput(f"method must be one of {', '.join(METHODS)}, not {method!r}")
 
     def _retime(self) -> None:
         rate = self.get_parameter("tick_rate").value * self.get_parameter("speed_up").value
