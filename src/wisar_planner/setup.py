@@ -22,9 +22,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "pdm_server = wisar_planner.nodes.pdm_server:main",
-            "planner = wisar_planner.nodes.planner:main",
-            "mavlink_bridge = wisar_planner.nodes.mavlink_bridge:main",
+            "pdm_server = wisar_planner.nodes.entry:pdm_server",
+            "planner = wisar_planner.nodes.entry:planner",
+            "mavlink_bridge = wisar_planner.nodes.entry:mavlink_bridge",
             "wisar = wisar_planner.cli.main:main",
         ]
     },

@@ -17,8 +17,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "sim_drone = wisar_sim.nodes.sim_drone:main",
-            "sim_autopilot = wisar_sim.autopilot.cli:main",
+            "sim_drone = wisar_sim.entry:sim_drone",
+            "sim_autopilot = wisar_sim.entry:sim_autopilot",
         ]
     },
 )

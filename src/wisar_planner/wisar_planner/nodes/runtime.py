@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Protocol, cast
@@ -14,6 +15,7 @@ from rclpy.exceptions import (
 )
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import uninstall_signal_handlers
 
 from wisar_planner.errors import InvalidInput
 
@@ -36,15 +38,22 @@ class Closeable(Protocol):
 def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
     """Run a node until Ctrl-C, SIGTERM or a shutdown of the context; return the exit status.
 
-    A mistake in its parameters ends it with one line on stderr and status 2.
+    A mistake in its arguments or parameters ends it with one line on stderr and status 2.
     """
-    rclpy.init(args=arguments)
     try:
+        rclpy.init(args=arguments)
         node = factory()
     except _USER_MISTAKES as error:
         print(f"{factory.__name__}: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 2
+    except KeyboardInterrupt:
+        rclpy.try_shutdown()
+        return 0
+    except Exception:
+        if rclpy.ok():
+            raise
+        return 0  # told to end while it was being made
     # Threads let a node answer (parameters, cancel requests) while a callback works.
     executor = MultiThreadedExecutor(num_threads=4)
     executor.add_node(node)
@@ -53,6 +62,9 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        # A terminal and a launcher may both send the signal: once is enough.
+        uninstall_signal_handlers()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if hasattr(node, "close"):
             cast(Closeable, node).close()
         executor.shutdown(timeout_sec=2.0)

@@ -1,0 +1,61 @@
+"""Ctrl-C ends a node without a traceback, whenever it comes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+INTERRUPT = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(30)"
+NODE = """
+import rclpy
+from rclpy.node import Node
+from wisar_planner.nodes.runtime import spin
+
+class Interrupted(Node):
+    def __init__(self):
+        super().__init__("interrupted")
+        {early}
+
+    def close(self):
+        {late}
+        print("closed", flush=True)
+
+def main():
+    return spin(Interrupted)
+"""
+WHEN_IDLE = "self.create_timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT))"
+CASES = {
+    "import": (f"{INTERRUPT}\n", ""),
+    "construction": (NODE.format(early=INTERRUPT, late="pass"), ""),
+    "spinning": (NODE.format(early=f"import os, signal; {WHEN_IDLE}", late="pass"), "closed\n"),
+    "closing": (
+        NODE.format(
+            early=f"import os, signal; {WHEN_IDLE}",
+            late="import os, signal; os.kill(os.getpid(), signal.SIGINT)",
+        ),
+        "closed\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("when", CASES)
+def test_ctrl_c_is_quiet(tmp_path: Path, when: str) -> None:
+    source, output = CASES[when]
+    (tmp_path / "interrupted.py").write_text(source)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            # Whoever started these tests may have them ignore Ctrl-C.
+            "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+            f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
+            "from wisar_planner.nodes.entry import run; sys.exit(run('interrupted'))",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, output, "")
