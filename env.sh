@@ -7,12 +7,13 @@
 
 _wisar_root="$(cd "$(dirname "${BASH_SOURCE[0]:-${(%):-%x}}")" && pwd)"
 
-_wisar_prepend() { # NAME DIRECTORY: put a directory in front of a path variable, once
-  eval "_wisar_value=\${$1:-}"
-  case ":$_wisar_value:" in
-    *":$2:"*) ;;
-    *) export "$1=$2${_wisar_value:+:$_wisar_value}" ;;
-  esac
+_wisar_prepend() { # NAME DIRECTORY: put a directory in front of a path variable, and only there
+  eval "_wisar_value=:\${$1:-}:"
+  _wisar_entry=":$2:"
+  _wisar_value=${_wisar_value//"$_wisar_entry"/:}
+  _wisar_value=${_wisar_value#:}
+  _wisar_value=${_wisar_value%:}
+  export "$1=$2${_wisar_value:+:$_wisar_value}"
 }
 
 if [ ! -d "$_wisar_root/install" ]; then
@@ -38,4 +39,4 @@ else
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 fi
 unset -f _wisar_prepend
-unset _wisar_root _wisar_value _wisar_site _wisar_libs
+unset _wisar_root _wisar_value _wisar_entry _wisar_site _wisar_libs

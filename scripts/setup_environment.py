@@ -67,10 +67,13 @@ def main() -> int:
 
 
 def ros_is_sourced() -> bool:
-    """Whether a ROS 2 installation other than our own wheels is in the environment."""
+    """Whether a ROS 2 installation is in the environment.
+
+    Wheels in a virtual environment are none: env.sh puts those of this checkout or another there.
+    """
     prefixes = map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
     marker = Path("share", "ament_index", "resource_index", "packages", "rcl_interfaces")
-    if not any((p / marker).exists() and not p.resolve().is_relative_to(ROOT) for p in prefixes):
+    if not any((p / marker).exists() and not (p / "pyvenv.cfg").exists() for p in prefixes):
         return False
     if (distribution := os.environ.get("ROS_DISTRO", "")) != "jazzy":
         raise SetupError(

@@ -81,12 +81,16 @@ def test_another_distribution_is_refused(
         setup.check_machine()
 
 
-def test_our_own_environment_is_no_installation(
+def test_wheels_of_this_or_another_checkout_are_no_installation(
     setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    other = ros_prefix(tmp_path / "other" / ".venv")
+    (other / "pyvenv.cfg").touch()
     monkeypatch.setenv("ROS_DISTRO", "jazzy")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{ROOT / '.venv'}:{ROOT / 'install'}:{tmp_path}")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{other}:{ROOT / '.venv'}:{ROOT / 'install'}")
     assert not setup.ros_is_sourced()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{other}:{ros_prefix(tmp_path / 'ros')}")
+    assert setup.ros_is_sourced()
 
 
 def test_lock_files_pin_hashes_and_name_no_address() -> None:
@@ -113,3 +117,23 @@ def test_env_sh_works_in_a_clean_shell() -> None:
     assert done.returncode == 0, done.stderr
     assert "LOCALHOST" in done.stdout
     assert done.stdout.splitlines()[-1].count(".venv/bin") == 1  # sourced twice, set once
+
+
+def test_the_checkout_sourced_last_wins(tmp_path: Path) -> None:
+    other = tmp_path / "env.sh"
+    other.write_text((ROOT / "env.sh").read_text())
+    (tmp_path / "install").mkdir()
+    command = f". {ROOT}/env.sh && . {other} && . {ROOT}/env.sh && env"
+    done = subprocess.run(
+        ["bash", "--norc", "-c", command],
+        env={"PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    for name in ("AMENT_PREFIX_PATH", "LD_LIBRARY_PATH", "PATH", "PYTHONPATH"):
+        folders = found[name].split(":")
+        assert folders[0].startswith(f"{ROOT}/"), name
+        assert len(folders) == len(set(folders)), name
+        assert any(folder.startswith(f"{tmp_path}/") for folder in folders), name
