@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.codec import Message
 from wisar_planner.mavlink.exchange import Address, Exchange
+from wisar_planner.mavlink.streams import Streams
 from wisar_planner.mavlink.vehicle import VehicleState, changes
 
 HEARTBEAT_EVERY_S = 1.0
@@ -35,6 +36,8 @@ class LinkStatus:
 
 class Session:
     """Listens to one vehicle, keeps its state, and leads one exchange at a time.
+
+    Telemetry that the vehicle does not send by itself is asked for.
 
     Messages from others, or addressed to others, change nothing.
 
@@ -70,6 +73,7 @@ class Session:
         self._on_link = on_link
         self._on_vehicle = on_vehicle
         self._on_text = on_text
+        self._streams: Streams | None = None
         self._next_heartbeat = -math.inf
 
     @property
@@ -101,6 +105,8 @@ class Session:
             self._next_heartbeat = now + HEARTBEAT_EVERY_S
             out.append(_heartbeat())
             self._watch(now)
+            if self._streams is not None and self.status.connected:
+                out += self._streams.due(now)
         if self.exchange is not None:
             out += self.exchange.on_time(now)
         return out
@@ -132,6 +138,9 @@ class Session:
             return
         self.vehicle = replace(before, **changed)
         name = message.get_type()
+        if self._streams is None:
+            self._streams = Streams(Address(before.system, before.component))
+        self._streams.heard(name, now)
         if name == "HEARTBEAT":
             self._watch(now)
         elif name == "STATUSTEXT":
