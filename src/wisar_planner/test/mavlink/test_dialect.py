@@ -7,7 +7,12 @@ import pytest
 from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.dialect import ARDUPILOT, GENERIC, PX4, dialect_of
-from wisar_planner.mavlink.mission import MissionItem, MissionKind, build_mission
+from wisar_planner.mavlink.mission import (
+    MissionItem,
+    MissionKind,
+    build_mission,
+    fence_items,
+)
 from wisar_planner.mavlink.modes import Intent, commands_for
 from wisar_planner.mavlink.wording import command_result, is_passing, mission_result
 
@@ -76,6 +81,14 @@ def test_ardupilot_keeps_centimetres_px4_does_not_round():
     found = changed(2, z=40.01)
     assert ARDUPILOT.differences(KIND, MISSION, found) == ()
     assert PX4.differences(KIND, MISSION, found) != ()
+
+
+@pytest.mark.parametrize("kind", [MissionKind.FENCE, MissionKind.RALLY])
+def test_autocontinue_means_nothing_to_fences_and_rally_points(kind):
+    items = fence_items([[(57.0, -4.0), (57.1, -4.0), (57.1, -3.9)]])
+    without = tuple(replace(i, autocontinue=False) for i in items)
+    assert PX4.differences(kind, items, without) == ()
+    assert PX4.differences(MissionKind.MISSION, items, without) != ()
 
 
 def test_many_differences_are_cut_short():

@@ -80,9 +80,59 @@ def test_what_happened_in_a_long_silence_is_not_invented():
 def test_reaching_the_last_item_completes():
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     last = len(MISSION.items) - 1
+    assert not tracker.update(state((0.0, 0.0), 0), 0.0).completed
     progress = tracker.update(state((0.0, 0.0), last, reached=last, armed=False), 1.0)
     assert progress.completed
     assert progress.waypoints_reached == 4
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_return_completes_with_the_landing(told):
+    """PX4 never tells that a return to launch is reached."""
+    last = len(MISSION.items) - 1
+    reached = last - 1 if told else None  # the message may be lost
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+    fly(tracker)
+    progress = tracker.update(state((40.0, 30.0), last, reached=reached), 100.0)
+    assert (progress.completed, progress.waypoints_reached) == (False, 4)
+    landed = state((0.0, 0.0), last, reached=reached, armed=False)
+    assert tracker.update(landed, 200.0).completed
+
+
+def test_a_loiter_completes_with_the_last_waypoint():
+    mission = build_mission(
+        FRAME.to_geodetic(PATH.waypoints), altitude_m=40.0, speed=5.0, end="loiter"
+    )
+    tracker = FlightTracker(PDM, PATH, FRAME, mission)
+    assert not fly(tracker).completed
+    last = len(mission.items) - 1
+    assert tracker.update(state((0.0, 30.0), last, reached=last - 1), 100.0).completed
+
+
+def test_a_flight_that_ends_early_is_not_completed():
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+    fly(tracker)
+    landed = state((0.0, 0.0), FIRST + 3, reached=FIRST + 2, armed=False)
+    progress = tracker.update(landed, 100.0)
+    assert (progress.completed, progress.waypoints_reached) == (False, 3)
+
+
+def test_an_earlier_flight_does_not_complete_this_one():
+    last = len(MISSION.items) - 1
+    on_ground = state((0.0, 0.0), 0, reached=last, armed=False)
+    armed = state((0.0, 0.0), 0, reached=last)
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+    for snapshot in (on_ground, armed, armed):
+        progress = tracker.update(snapshot, 1.0)
+        assert (progress.completed, progress.waypoints_reached) == (False, 0)
+    assert fly(tracker).waypoints_reached == 3
+    landed = state((0.0, 0.0), last, reached=last, armed=False)
+    assert tracker.update(landed, 100.0).completed
+    # The same mission, flown again: seen is seen, but its items have to be reached anew.
+    seen = tracker.progress.probability
+    again = tracker.update(armed, 200.0)
+    assert (again.completed, again.waypoints_reached) == (False, 0)
+    assert again.probability == seen
 
 
 # -- telemetry -----------------------------------------------------------------------------------
@@ -117,6 +167,13 @@ def test_telemetry_becomes_a_snapshot():
     assert snapshot.heading == pytest.approx(np.pi / 2.0)
     assert (snapshot.current_item, snapshot.reached_item) == (3, 2)
     assert snapshot.text == "hello"
+
+
+def test_a_long_text_comes_in_chunks():
+    chunks = [(b"RTL: start return at 520 m (31 m above destination", 0), (b")\t", 1)]
+    messages = [mav.MAVLink_statustext_message(6, text, 9, n) for text, n in chunks]
+    assert track(*messages).text == "RTL: start return at 520 m (31 m above destination)"
+    assert track(*messages, mav.MAVLink_statustext_message(6, b"next")).text == "next"
 
 
 def test_ardupilots_numbers_leave_out_home():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import threading
 import time
@@ -37,11 +38,15 @@ from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.mavlink.wording import command_result, mission_result
 
 _LONGEST_WAIT_S = 0.25
+_ARMING_SHOWS_WITHIN_S = 5.0
+# PX4 checks a new mission for about a second, and denies its start until then.
+_MISSION_CHECKED_WITHIN_S = 5.0
+_START_AGAIN_AFTER_S = 0.25
 _log = logging.getLogger(__name__)
 
 _E = TypeVar("_E", bound=Exchange)
 
-__all__ = ["LinkError", "LinkStatus", "MissionClient"]
+__all__ = ["LinkError", "LinkStatus", "MissionClient", "RefusedError"]
 
 
 def _guarded(callback: Callable[..., None]) -> Callable[..., None]:
@@ -58,6 +63,10 @@ def _guarded(callback: Callable[..., None]) -> Callable[..., None]:
 
 class LinkError(ConnectionError):
     """The vehicle did not answer, or refused; the message says what to do."""
+
+
+class RefusedError(LinkError):
+    """The vehicle answered, and refused."""
 
 
 @dataclass
@@ -144,6 +153,7 @@ class MissionClient:
         )
         self._jobs: deque[_Job] = deque()
         self._uploading = threading.Lock()
+        self._uploaded_at = self._armed_at = -math.inf
         self._closing = False
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
@@ -248,6 +258,7 @@ class MissionClient:
                 return UploadResult(
                     UploadCode.CANCELLED, "the connection was closed", items_total=total
                 )
+            self._uploaded_at = time.monotonic()
             return transfer.result
         finally:
             self._uploading.release()
@@ -288,14 +299,39 @@ class MissionClient:
     def arm(self) -> None:
         """Arm the motors. Raises LinkError if the vehicle refuses or does not answer."""
         self._request("ARM", Intent.ARM)
+        self._armed_at = time.monotonic()
 
     def disarm(self) -> None:
         """Stop the motors; vehicles refuse it in the air."""
         self._request("DISARM", Intent.DISARM)
 
     def start_mission(self) -> None:
-        """Fly the mission from its first item; the vehicle must be armed."""
-        self._request("start of the mission", Intent.START)
+        """Fly the mission from its first item.
+
+        The vehicle must be armed; one that is not is not even asked, as PX4 would arm by itself.
+        Just after an upload a refusal is not believed at once: PX4 checks the mission first.
+
+        Raises
+        ------
+        LinkError
+            If the vehicle is not armed, refuses or does not answer.
+        """
+        words = "start of the mission"
+        deadline = self._armed_at + _ARMING_SHOWS_WITHIN_S
+        while not self._require_vehicle().armed:
+            if time.monotonic() >= deadline:
+                raise LinkError(f"{words}: the vehicle is not armed; arm it first")
+            time.sleep(0.05)
+        deadline = self._uploaded_at + _MISSION_CHECKED_WITHIN_S
+        while True:
+            try:
+                self._request(words, Intent.START)
+            except RefusedError:
+                if time.monotonic() >= deadline:
+                    raise
+                time.sleep(_START_AGAIN_AFTER_S)
+            else:
+                return
 
     def pause(self) -> None:
         """Stop and hold the position."""
@@ -318,7 +354,7 @@ class MissionClient:
             if command.end is RequestEnd.REFUSED and command.result is not None:
                 text = self._session.vehicle.text if self._session.vehicle is not None else ""
                 said = f" (the vehicle says: {text})" if text else ""
-                raise LinkError(f"{words}: {command_result(command.result)}{said}")
+                raise RefusedError(f"{words}: {command_result(command.result)}{said}")
             if command.end is not RequestEnd.ACCEPTED:
                 raise LinkError(f"{words}: the vehicle does not answer; check the link")
 

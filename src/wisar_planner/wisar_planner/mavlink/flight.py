@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.errors import positive
 from wisar_planner.mavlink.mission import Mission
@@ -25,7 +26,9 @@ class FlightProgress:
     flying
         Whether the search part of the mission is being flown.
     completed
-        Whether the last item has been reached.
+        Whether the mission has been flown to its end: the last item is told to be reached, or the
+        whole search has been flown and the vehicle has landed after a return (PX4 does not tell
+        that one as reached) or loiters.
     waypoints_reached, waypoints_total
         Waypoints of the search.
     distance
@@ -51,6 +54,9 @@ class FlightTracker:
     The probability comes from the same exact union of swaths as the plan's. Two positions are
     joined by a straight line if they were reported within `max_gap_s` of each other; where the
     vehicle was during a longer silence is not known, and nothing is counted.
+
+    Items reached count from the moment the motors are armed, so that an earlier flight does not
+    complete this one; what was seen adds up over all flights of the mission.
 
     Parameters
     ----------
@@ -84,14 +90,20 @@ class FlightTracker:
         self._max_gap_s = positive(max_gap_s, "max_gap_s")
         numbers = [n for n, item in enumerate(mission.items) if item.is_waypoint]
         self._waypoints = numbers
+        self._last_waypoint = numbers[-1] if numbers else len(mission.items)
         self._last_item = len(mission.items) - 1
+        self._returns = mission.items[-1].command == mav.MAV_CMD_NAV_RETURN_TO_LAUNCH
         self._planned_at = np.linspace(0.0, plan.length, self._PLANNED_SAMPLES)
         self._planned = plan.probability_over_distance(pdm, self._planned_at)
         self._last: NDArray[np.float64] | None = None
         self._last_at = -math.inf
         self._distance = 0.0
         self._reached = -1
+        self._told_before: int | None = None  # item reached in an earlier flight
+        self._armed: bool | None = None
         self._flying = False
+        self._was_flying = False
+        self._searched = False  # past the last waypoint of the search
 
     def update(self, state: VehicleState, now: float) -> FlightProgress:
         """Take in a snapshot of the vehicle.
@@ -103,15 +115,29 @@ class FlightTracker:
         now
             Monotonic time in seconds at which it was heard.
         """
-        if state.reached_item is not None:
-            self._reached = max(self._reached, state.reached_item)
         self._flying = state.armed and self._on_search(state.current_item)
+        self._take_reached(state)
         if self._flying and state.latitude is not None and state.longitude is not None:
             point = self._frame.to_local([state.latitude], [state.longitude])[0]
             self._advance(point, now)
         else:
             self._last = None
         return self.progress
+
+    def _take_reached(self, state: VehicleState) -> None:
+        reached = state.reached_item
+        if self._armed is None or (state.armed and not self._armed):
+            # PX4 repeats the last item of a flight for some seconds after its end.
+            self._told_before, self._reached = reached, -1
+            self._was_flying = self._searched = False
+        self._armed = state.armed
+        if reached is not None and reached != self._told_before:
+            self._told_before = None
+            self._reached = max(self._reached, reached)
+        self._was_flying |= self._flying
+        # The message that the last waypoint is reached may be lost; the next item tells it too.
+        past = self._was_flying and (state.current_item or 0) > self._last_waypoint
+        self._searched |= past or self._reached >= self._last_waypoint
 
     def _on_search(self, current: int | None) -> bool:
         """Whether the vehicle is between the first and the last waypoint."""
@@ -135,10 +161,12 @@ class FlightTracker:
     @property
     def progress(self) -> FlightProgress:
         """How far the flight has come."""
-        reached = sum(number <= self._reached for number in self._waypoints)
+        last = self._last_waypoint if self._searched else self._reached
+        reached = sum(number <= last for number in self._waypoints)
         return FlightProgress(
             flying=self._flying,
-            completed=self._reached >= self._last_item,
+            completed=self._reached >= self._last_item
+            or (self._searched and not (self._returns and self._armed)),
             waypoints_reached=reached,
             waypoints_total=len(self._waypoints),
             distance=self._distance,

@@ -98,5 +98,8 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
         return {field: seq if seq >= 0 else None}
     if name == "STATUSTEXT":
         text = message.text
-        return {"text": text if isinstance(text, str) else text.decode("utf-8", "replace")}
+        text = text if isinstance(text, str) else text.decode("utf-8", "replace")
+        # A text longer than 50 bytes comes in chunks with the same id.
+        before = state.text if message.id and message.chunk_seq else ""
+        return {"text": (before + text).rstrip()}
     return {}
