@@ -60,6 +60,20 @@ def test_the_leg_home_counts():
         assert bool(reasons) is refused
 
 
+def test_the_ways_there_and_home_stay_inside_the_fence_too():
+    keep_out = [(-0.6 * KM, -0.1 * KM), (-0.4 * KM, -0.1 * KM), (-0.5 * KM, 0.3 * KM)]
+    fenced = mission(inclusions=[ROOM], exclusions=[keep_out])
+    near, outside, behind = (0.2 * KM, 0.2 * KM), (0.0, -1.5 * KM), (-0.9 * KM, 0.0)
+    assert check_mission(fenced, vehicle=near, home=near) == ()
+    there, back = check_mission(fenced, vehicle=outside)
+    assert "to the first waypoint leaves the fence" in there
+    assert "home from the last waypoint leaves the fence" in back
+    (there,) = check_mission(fenced, vehicle=behind, home=near)
+    assert "to the first waypoint crosses a keep-out area" in there
+    stays = mission(inclusions=[ROOM], end="loiter")
+    assert check_mission(stays, vehicle=near, home=outside) == ()
+
+
 def test_a_leg_between_waypoints_inside_may_still_leave_the_fence():
     c_shape = [(0, 0), (0, 4), (3, 4), (3, 3), (1, 3), (1, 1), (3, 1), (3, 0)]
     ring = [(a * KM / 4, b * KM / 4) for a, b in c_shape]

@@ -99,6 +99,7 @@ def check_mission(
     reasons = [
         *_check_altitudes(waypoints[:, 2], limits),
         *_check_fence(mission, frame, track),
+        *_check_legs(mission, frame, track, vehicle, home or vehicle),
         *_check_distances(track, frame, limits, vehicle, home or vehicle),
     ]
     return tuple(reasons)
@@ -161,6 +162,37 @@ def _check_fence(mission: Mission, frame: LocalFrame, track: NDArray[np.float64]
             reasons.append("the way leaves the fence; enlarge the fence or plan inside it")
         elif not ring.inclusion and polygon.buffer(-_FENCE_TOLERANCE_M).intersects(line):
             reasons.append("the way crosses a keep-out area; plan around it")
+    return reasons
+
+
+def _check_legs(
+    mission: Mission,
+    frame: LocalFrame,
+    track: NDArray[np.float64],
+    vehicle: tuple[float, float] | None,
+    home: tuple[float, float] | None,
+) -> list[str]:
+    """Check the ways to the first waypoint and home, which the fence holds for as well."""
+    returns = any(i.command == mav.MAV_CMD_NAV_RETURN_TO_LAUNCH for i in mission.items)
+    legs = [("from the vehicle to the first waypoint", vehicle, track[0])]
+    if returns:
+        legs.append(("home from the last waypoint", home, track[-1]))
+    reasons = []
+    for words, place, waypoint in legs:
+        if place is None:
+            continue
+        line = shapely.LineString([frame.to_local([place[0]], [place[1]])[0], waypoint])
+        for ring in fence_rings(mission.fence):
+            polygon = shapely.Polygon(frame.to_local(ring.corners[:, 0], ring.corners[:, 1]))
+            if not polygon.is_valid:
+                continue  # told already
+            if ring.inclusion and not polygon.buffer(_FENCE_TOLERANCE_M).covers(line):
+                reasons.append(
+                    f"the way {words} leaves the fence; launch inside it or set a larger "
+                    "fence_margin"
+                )
+            elif not ring.inclusion and polygon.buffer(-_FENCE_TOLERANCE_M).intersects(line):
+                reasons.append(f"the way {words} crosses a keep-out area; launch elsewhere")
     return reasons
 
 

@@ -85,6 +85,9 @@ class UploadResult:
         Times that sending a list was begun, over all lists.
     elapsed_s
         Duration in seconds.
+    old_counts
+        Whether the mission that the autopilot held before still counts. False after success, and
+        where the autopilot may hold something that has not been verified.
     """
 
     code: UploadCode
@@ -94,6 +97,7 @@ class UploadResult:
     items_total: int = 0
     attempts: int = 0
     elapsed_s: float = 0.0
+    old_counts: bool = True
 
     @property
     def verified(self) -> bool:
@@ -152,6 +156,7 @@ class ListTransfer:
         self._reader: Download | None = None
         self._pause_until = NEVER
         self._after_pause: Callable[[float], list[Message]] = self.start
+        self._wire_count = 0
         self._reads = 0
         self._differed = False
         self._failure: tuple[UploadCode, str] | None = None
@@ -160,6 +165,8 @@ class ListTransfer:
         self.code: UploadCode | None = None
         self.error = ""
         self.differences: tuple[str, ...] = ()
+        self.old_counts = True
+        """Whether the autopilot surely holds the list that it held before."""
 
     @property
     def done(self) -> bool:
@@ -187,8 +194,10 @@ class ListTransfer:
         self._phase = _Phase.SENDING
         self._pause_until = NEVER
         if self._wanted:
+            wire = self._dialect.to_wire(self._kind, self._wanted)
+            self._wire_count = len(wire)
             self._sender = Upload(
-                self._dialect.to_wire(self._kind, self._wanted),
+                wire,
                 self._kind,
                 self._target,
                 self._dialect,
@@ -196,10 +205,13 @@ class ListTransfer:
                 on_progress=self._sent,
             )
         else:
+            self.old_counts = False
             self._sender = Clear(self._kind, self._target, link=self._links.asking)
         return self._sender.start(now)
 
     def _sent(self, count: int) -> None:
+        if count == self._wire_count:
+            self.old_counts = False  # from here on the new list may be in force
         self.items_sent = min(count, len(self._wanted))
         self._report(0)
 
@@ -237,14 +249,14 @@ class ListTransfer:
         """End early. The old list stays, unless all items had been sent already."""
         if self.done:
             return []
-        sent_all = self._phase is _Phase.READING and self._failure is None
         active = self._active
         out = active.cancel(now) if active is not None else []
         self._finish(
             UploadCode.CANCELLED,
-            "cancelled after everything was sent: the autopilot may hold the new list, unverified"
-            if sent_all
-            else "cancelled: the old list counts",
+            "cancelled: the old list counts"
+            if self.old_counts
+            else "cancelled after everything was sent: the autopilot may hold the new list, "
+            "unverified",
         )
         return out
 
@@ -344,6 +356,7 @@ class ListTransfer:
         self.error = error
         if code is UploadCode.VERIFIED:
             self.differences = ()
+            self.old_counts = False
         self._phase = _Phase.DONE
         self._pause_until = NEVER
 
@@ -461,5 +474,6 @@ class MissionTransfer:
             items_total=self._total,
             attempts=sum(t.attempts for _, t in self._lists),
             elapsed_s=now - self._started_at,
+            old_counts=all(t.old_counts for k, t in self._lists if k is MissionKind.MISSION),
         )
         return []

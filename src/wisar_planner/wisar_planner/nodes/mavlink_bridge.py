@@ -215,7 +215,7 @@ class MavlinkBridge(Node):
             LocalFrame(plan.origin),
             settings,
             area=None if located is None else located.area,
-            launch=self._vehicle_place(),
+            launch=self._launch_place(),
         )
 
     def _map_of(self, plan: Plan) -> LocatedMap | None:
@@ -228,15 +228,28 @@ class MavlinkBridge(Node):
             return None
         return vehicle.latitude, vehicle.longitude
 
+    def _launch_place(self) -> tuple[float, float] | None:
+        """Where the vehicle starts and returns to: where it stands, or its home once it flies."""
+        vehicle = self._client.vehicle
+        if vehicle is not None and vehicle.armed and vehicle.home is not None:
+            return vehicle.home[:2]
+        return self._vehicle_place()
+
     def _reasons_against(self, mission: Mission) -> tuple[str, ...]:
         """Return why a mission must not be uploaded."""
+        place = self._vehicle_place()
+        if place is None and self._client.link_status.connected:
+            return (
+                "the vehicle's position is not known yet, so that the distances cannot be "
+                "checked; wait for its GPS, then upload again",
+            )
         limits = Limits(
             min_altitude_m=self._value("min_altitude"),
             max_altitude_m=self._value("max_altitude"),
             endurance_m=self._value("endurance") or None,
             first_waypoint_m=self._value("max_first_waypoint"),
         )
-        return check_mission(mission, limits, vehicle=self._vehicle_place())
+        return check_mission(mission, limits, vehicle=place, home=self._launch_place())
 
     # The upload
 
@@ -283,6 +296,8 @@ class MavlinkBridge(Node):
             self.get_logger().info(text)
             goal.succeed()
             return Result(error_code=Result.NONE, items=count)
+        if not outcome.old_counts:  # nobody knows what the vehicle would fly now
+            self._map_id, self._tracker = "", None
         text = "; ".join((outcome.error, *outcome.differences[:5]))
         self.get_logger().error(f"upload failed: {text}")
         if int(outcome.code) == Result.BUSY:
@@ -316,12 +331,18 @@ class MavlinkBridge(Node):
         if tracker is None:
             return
         progress = tracker.update(vehicle, time.monotonic())
-        if progress.completed and self._state == MissionStatus.FLYING:
-            self._set_state(MissionStatus.COMPLETED, "the mission has been flown", self._items)
-        elif progress.flying:
-            items = (progress.waypoints_reached, progress.waypoints_total)
-            if self._state != MissionStatus.FLYING or items != self._items:
-                self._set_state(MissionStatus.FLYING, "the verified mission is being flown", items)
+        items = (progress.waypoints_reached, progress.waypoints_total)
+        if self._state == MissionStatus.UPLOADING:
+            return
+        flown = self._state in (MissionStatus.VERIFIED, MissionStatus.FLYING)
+        if progress.completed and flown:
+            self._set_state(MissionStatus.COMPLETED, "the mission has been flown", items)
+        elif self._state == MissionStatus.FLYING and not vehicle.armed:
+            text = f"the flight ended after {items[0]} of {items[1]} waypoints"
+            self._set_state(MissionStatus.VERIFIED, f"{text}; the mission is still there", items)
+            self.get_logger().warning(text)
+        elif progress.flying and (self._state != MissionStatus.FLYING or items != self._items):
+            self._set_state(MissionStatus.FLYING, "the verified mission is being flown", items)
 
     # Requests to the vehicle
 
@@ -352,6 +373,8 @@ class MavlinkBridge(Node):
         """Return the map of the last plan once everything that its mission needs is here."""
         plan = self._plan
         if plan is None or (self._value("fence") and self._map_of(plan) is None):
+            return ""
+        if self._client.link_status.connected and self._vehicle_place() is None:
             return ""
         return plan.map_id
 

@@ -188,6 +188,25 @@ def test_cancelling_keeps_the_old_mission(profile, after):
 
 
 @ALL
+def test_who_cancels_is_told_whether_the_old_mission_still_counts(profile):
+    faults = LinkFaults(loss=0.2, delay_s=0.03, jitter_s=0.03)
+    old, new = mission(7), mission(20, altitude_m=77.0)
+    told = set()
+    for seed, after in enumerate(np.linspace(0.0, 25.0, 60)):
+        setup = Setup(profile, faults, seed)
+        setup.upload(old)
+        transfer = setup.transfer(new, kinds=[MissionKind.MISSION])
+        if setup.talk.run(transfer, until=setup.talk.now + after):
+            continue
+        setup.talk._send_up(transfer.cancel(setup.talk.now))
+        setup.talk.settle(30.0)
+        told.add(transfer.result.old_counts)
+        assert setup.holds(old) or not transfer.result.old_counts
+        assert ("old list counts" in transfer.result.error) is transfer.result.old_counts
+    assert told == {True, False}
+
+
+@ALL
 def test_a_lost_last_acknowledgement_is_resolved_by_reading_back(profile):
     setup = Setup(profile)
     original = setup.server.handle
@@ -258,7 +277,7 @@ def test_on_any_link_an_upload_ends_verified_or_with_words(profile, seed, count,
         assert setup.holds(new)
     else:
         assert len(result.error) > 20
-        assert setup.holds(old) or setup.holds(new)
+        assert setup.holds(old) or (setup.holds(new) and not result.old_counts)
     assert result.elapsed_s < 1_800.0
 
 
