@@ -1,13 +1,28 @@
-"""An uploaded mission is flown only when asked, and followed to its end."""
+"""An uploaded mission is flown only when asked, and followed to its end.
+
+``WISAR_AUTOPILOT=udpin:127.0.0.1:14540`` adds the autopilot at that connection. It is armed and
+flown: simulators only.
+"""
 
 from __future__ import annotations
 
+import os
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 from std_srvs.srv import Trigger
 
 from wisar_msgs.msg import MissionStatus
+from wisar_planner.mavlink.client import MissionClient
+from wisar_planner.mavlink.mission import Mission
+from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
+from wisar_sim.nodes.operator import Operator
+from wisar_sim.processes import executable, free_udp_port
+
+REAL = os.environ.get("WISAR_AUTOPILOT")
 
 
 def call(suite, name: str) -> Trigger.Response:
@@ -25,32 +40,101 @@ def upload(suite):
     return suite.operator.upload_result
 
 
-@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
-def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, profile: str) -> None:
-    suite.start_autopilot("--profile", profile, "--home", "56.79,-5.0", "--speed-up", "10")
-    suite.start_map(mixture_file)
+def place_of(connection: str) -> GeoOrigin:
+    """Wait until an autopilot tells where it stands."""
+    deadline = time.monotonic() + 120.0
+    with MissionClient(connection) as client:
+        client.wait_heartbeat(60.0)
+        while True:
+            vehicle = client.vehicle
+            if vehicle is not None and vehicle.latitude not in (None, 0.0):
+                assert vehicle.longitude is not None
+                return GeoOrigin(vehicle.latitude, vehicle.longitude)
+            assert time.monotonic() < deadline, "the vehicle does not tell its position"
+            time.sleep(0.1)
+
+
+def moved_to(place: GeoOrigin, map_file: Path) -> Path:
+    """Move a mixture's map to another place on Earth."""
+    content = yaml.safe_load(map_file.read_text())
+    content["origin"] = {"latitude": place.latitude, "longitude": place.longitude}
+    map_file.write_text(yaml.safe_dump(content))
+    return map_file
+
+
+def targets() -> list[object]:
+    real = pytest.param("real", marks=pytest.mark.timeout(900))
+    return ["px4", "ardupilot", *([real] if REAL else [])]
+
+
+@pytest.mark.parametrize("target", targets())
+def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, target: str) -> None:
+    settings: dict[str, object] = {"speed": 10.0, "fence": True, "rally": True}
+    if target == "real":
+        assert REAL is not None
+        place, patience = place_of(REAL), 600.0
+        suite.start_map(moved_to(place, mixture_file))
+        suite.start("wisar_planner", "mavlink_bridge", connection=REAL, **settings)
+    else:
+        patience = 90.0
+        suite.start_autopilot("--profile", target, "--speed-up", "10")
+        suite.start_map(mixture_file)
+        suite.start_bridge(**settings)
     suite.start_planner(max_distance=800.0)
-    suite.start_bridge(speed=10.0, fence=True, rally=True)
     operator = suite.operator
-    suite.wait_for_plan()
-    # Without an explicit position there is no rally point: wait for the vehicle.
-    suite.wait(
-        lambda: operator.mission and operator.mission.latitude == pytest.approx(56.79),
-        "the vehicle's position",
-    )
     result = upload(suite)
     assert result.error_code == result.NONE, result.error_text
     assert not operator.mission.armed
-    assert call(suite, "arm").success
+    deadline = time.monotonic() + patience
+    while not (answer := call(suite, "arm")).success:  # a real one checks its sensors first
+        assert time.monotonic() < deadline, answer.message
+        time.sleep(2.0)
     answer = call(suite, "start_mission")
     assert answer.success, answer.message
     suite.wait(lambda: operator.mission.state == MissionStatus.FLYING, "the flight")
     assert operator.mission.armed
-    suite.wait(lambda: operator.mission.state == MissionStatus.COMPLETED, "the flight's end", 90.0)
+    suite.wait(
+        lambda: operator.mission.state == MissionStatus.COMPLETED, "the flight's end", patience
+    )
+    suite.wait(lambda: operator.plan, "the plan")
     status, plan = operator.mission, operator.plan
     # The vehicle cuts corners within its acceptance radius; what it saw is near the promise.
     assert status.distance == pytest.approx(plan.length, rel=0.15)
     assert status.probability == pytest.approx(plan.probability[-1], rel=0.15)
+    suite.wait(lambda: not operator.mission.armed, "the landing", patience)
+
+
+def test_two_vehicles_each_get_the_mission_of_their_namespace(suite, mixture_file) -> None:
+    ports = {"north": suite.port, "south": free_udp_port()}
+    for number, (name, port) in enumerate(ports.items(), start=1):
+        connection = ("--connection", f"udpin:127.0.0.1:{port}", "--system", str(number))
+        command = [executable("wisar_sim", "sim_autopilot"), "--home", "56.79,-5.0", *connection]
+        suite.processes.start(f"{name}sim_autopilot", command)
+        suite.start_map(mixture_file, namespace=name)
+        suite.start_planner(namespace=name, max_distance=400.0 * number)
+        suite.start("wisar_planner", "mavlink_bridge", name, connection=f"udpout:127.0.0.1:{port}")
+    with (
+        Operator("north", domain=suite.domain) as north,
+        Operator("south", domain=suite.domain) as south,
+    ):
+        suite.wait(lambda: north.can_upload() and south.can_upload(), "both bridges' links")
+        for operator in (north, south):
+            operator.request_upload()
+        suite.wait(lambda: north.upload_result and south.upload_result, "both uploads")
+        for operator, port in ((north, ports["north"]), (south, ports["south"])):
+            result, plan = operator.upload_result, operator.plan
+            assert result.error_code == result.NONE, result.error_text
+            origin = GeoOrigin(plan.origin.latitude, plan.origin.longitude)
+            planned = LocalFrame(origin).to_geodetic(np.column_stack((plan.x, plan.y)))
+            with MissionClient(f"udpout:127.0.0.1:{port}", system=250) as other:
+                other.wait_heartbeat(20.0)
+                held = Mission(other.download()).waypoints[:, :2]
+            np.testing.assert_allclose(held, planned, rtol=0, atol=1e-7)
+        assert len(north.plan.x) != len(south.plan.x)
+        suite.wait(
+            lambda: {o.mission.state for o in (north, south)} == {MissionStatus.VERIFIED},
+            "both missions verified",
+        )
 
 
 def test_unsafe_missions_are_refused_before_the_upload(suite, mixture_file, tmp_path) -> None:

@@ -15,7 +15,7 @@ from wisar_planner.mavlink.exchange import Address
 from wisar_planner.mavlink.link_estimate import LinkEstimates
 from wisar_planner.mavlink.mission import MissionKind, build_mission
 from wisar_planner.mavlink.session import Session
-from wisar_planner.mavlink.transfer import MissionTransfer
+from wisar_planner.mavlink.transfer import MissionTransfer, UploadCode, UploadResult
 from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_sim.autopilot.autopilot import Autopilot
 from wisar_sim.autopilot.profile import PROFILES
@@ -114,6 +114,27 @@ def test_hostile_bytes_change_nothing(monkeypatch):
     assert row.details["sound_but_foreign"] > 7_000
 
 
+def test_a_frame_that_changes_something_is_noticed(monkeypatch):
+    monkeypatch.setattr(bench_mavlink, "FRAMES", 3_000)
+    # To this vehicle instead of to a stranger's.
+    clear = Codec(245, 190).encode(mav.MAVLink_mission_clear_all_message(1, 1, 255))
+    monkeypatch.setattr(bench_mavlink._Fuzzer, "foreign", lambda _: clear)
+    row = bench_mavlink.ROWS["fuzz_frames"]()
+    assert row.details["state_changes"] > 0
+    assert row.ours > 0
+
+
+def test_a_crash_is_counted(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("a fault")
+
+    monkeypatch.setattr(bench_mavlink, "FRAMES", 3_000)
+    monkeypatch.setattr(Autopilot, "_is_for_us", fail)
+    row = bench_mavlink.ROWS["fuzz_frames"]()
+    assert row.details["crashes"] > 0
+    assert row.ours > 0
+
+
 def test_cut_links_never_mix_missions(monkeypatch):
     monkeypatch.setattr(bench_mavlink, "CUTS", 30)
     row = bench_mavlink.ROWS["old_mission_intact_after_cut"]()
@@ -124,6 +145,30 @@ def test_cut_links_never_mix_missions(monkeypatch):
 def test_simulated_uploads_are_counted_right():
     good = bench_mavlink._simulated_uploads("px4", 0.1, 3)
     assert (good.uploads, good.verified, good.failed_in_words, good.corrupted) == (3, 3, 0, 0)
+    assert (good.left_open, good.changed) == (0, 0)
     bad = bench_mavlink._simulated_uploads("ardupilot", 0.5, 2)
     assert bad.verified + bad.failed_in_words == 2
     assert bad.corrupted == 0
+
+
+def test_an_upload_that_ends_unverified_or_changed_does_not_count_as_fine():
+    held, code = bench_mavlink._Held, UploadCode
+    results = [
+        (UploadResult(code.VERIFIED, elapsed_s=1.0, old_counts=False), held.NEW),
+        (UploadResult(code.VERIFIED, elapsed_s=2.0, old_counts=False), held.OLD),
+        (UploadResult(code.INCOMPLETE, "why", elapsed_s=3.0), held.OLD),
+        (UploadResult(code.UNVERIFIED, "why", elapsed_s=4.0, old_counts=False), held.NEW),
+        (UploadResult(code.DIFFERENT, elapsed_s=9.0, old_counts=False), held.OTHER),
+    ]
+    counted = bench_mavlink._Outcomes.of(results)
+    assert vars(counted) == {
+        "uploads": 5,
+        "verified": 2,
+        "failed_in_words": 2,
+        "left_open": 2,
+        "changed": 2,
+        "corrupted": 2,
+        "median_s": 3.0,
+        "longest_s": 9.0,
+    }
+    assert "2 of 5 verified" in counted.words

@@ -231,6 +231,16 @@ def test_lists_read_back_as_they_were_sent(profile):
         assert (m.seq, m.x, m.y, m.z) == (seq, 570_000_000 + seq, -40_000_000, 40.0)
 
 
+@pytest.mark.parametrize(("profile", "kept"), [("px4", 0), ("ardupilot", 1), ("mavsdk", 1)])
+def test_px4_keeps_no_autocontinue_of_fence_corners(profile, kept):
+    target = server(profile)
+    upload(target, 3, FENCE, command=5001, param1=3.0)
+    talk(target, mav.MAVLink_mission_request_list_message(1, 1, FENCE))
+    request = mav.MAVLink_mission_request_int_message(1, 1, 0, FENCE)
+    (corner,) = target.handle(request, CLIENT, BOOTED)
+    assert (corner.param1, corner.autocontinue) == (3.0, kept)
+
+
 def test_the_old_request_is_answered_with_floats():
     target = server("px4")
     upload(target, 1)

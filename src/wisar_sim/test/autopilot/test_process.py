@@ -15,6 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.client import LinkError, MissionClient
+from wisar_planner.mavlink.dialect import PX4
 from wisar_planner.mavlink.mission import MissionKind, build_mission
 from wisar_planner.mavlink.transfer import UploadCode
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
@@ -135,6 +136,22 @@ def test_upload_verify_and_fly_to_the_end(start, profile):
         assert client.vehicle.relative_altitude == pytest.approx(0.0, abs=0.5)
 
 
+def test_nothing_starts_that_is_not_armed(start):
+    """PX4 would arm by itself; and for a second after an upload it denies the start."""
+    with client_of(start("--profile", "px4")) as client:
+        client.wait_heartbeat()
+        assert client.upload(MISSION).verified
+        time.sleep(1.2)
+        with pytest.raises(LinkError, match="arm it first"):
+            client.start_mission()
+        time.sleep(1.2)
+        assert not client.vehicle.armed
+        assert client.upload(MISSION).verified
+        client.arm()
+        client.start_mission()
+        wait_for(lambda: client.vehicle.relative_altitude > 1.0)
+
+
 def test_pause_and_return(px4):
     with client_of(px4) as client:
         client.wait_heartbeat()
@@ -200,7 +217,8 @@ def test_missions_survive_a_restart(start, tmp_path):
     with client_of(start("--storage", storage)) as client:
         client.wait_heartbeat()
         assert len(client.download()) == len(wanted.items)
-        assert client.download(MissionKind.FENCE) == wanted.fence
+        fence = client.download(MissionKind.FENCE)
+        assert PX4.differences(MissionKind.FENCE, wanted.fence, fence) == ()
 
 
 def test_a_bad_link_over_real_sockets(start):

@@ -14,9 +14,18 @@ from wisar_sim.autopilot.mission_server import Client, Message, MissionServer, S
 from wisar_sim.autopilot.profile import Profile
 from wisar_sim.autopilot.vehicle import Mode, Vehicle, check_flyable
 
-_POSITION_EVERY_S = 0.25
-_MOST_POSITIONS_PER_S = 100.0
+_MOST_MESSAGES_PER_S = 100.0
 _LONGEST_GAP_S = 1.0
+
+# Regular messages by name: their ids, as SET_MESSAGE_INTERVAL has them.
+_STREAMS = {
+    "position": mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    "current": mav.MAVLINK_MSG_ID_MISSION_CURRENT,
+    "home": mav.MAVLINK_MSG_ID_HOME_POSITION,
+    "landed": mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+}
+_DEFAULT_INTERVALS = {"position": 0.25, "current": 1.0, "home": 2.0, "landed": 1.0}
+_STREAM_NAMES = {code: name for name, code in _STREAMS.items()}
 
 # Custom modes by profile: what the heartbeat shows and what DO_SET_MODE is given.
 # PX4: main mode 4 (AUTO) in bits 16-23, sub-mode in bits 24-31.
@@ -68,7 +77,9 @@ class Autopilot:
         self._outbox: list[Message] = []
         self._booted_at: float | None = None
         self._ticked_at = 0.0
+        self._startable_at = -math.inf
         self._due: dict[str, float] = {}
+        self._every = {} if profile.streams_when_asked else dict(_DEFAULT_INTERVALS)
         self._handlers: dict[int, Callable[[tuple[float, ...]], int]] = {
             mav.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mav.MAV_CMD_MISSION_START: self._start,
@@ -78,7 +89,7 @@ class Autopilot:
             mav.MAV_CMD_DO_PAUSE_CONTINUE: self._pause_continue,
             mav.MAV_CMD_DO_SET_MISSION_CURRENT: self._set_current,
             mav.MAV_CMD_REQUEST_MESSAGE: self._request_message,
-            mav.MAV_CMD_SET_MESSAGE_INTERVAL: lambda _: int(mav.MAV_RESULT_ACCEPTED),
+            mav.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     # -- messages ------------------------------------------------------------------------------
@@ -118,16 +129,18 @@ class Autopilot:
         self._ticked_at = now
         self.vehicle.advance(passed * self._speed_up)
         self._outbox.extend(self.missions.tick(now))
-        position_every = max(_POSITION_EVERY_S / self._speed_up, 1.0 / _MOST_POSITIONS_PER_S)
-        for name, every, send in (
-            ("heartbeat", 1.0, self._heartbeat),
-            ("position", position_every, self._position),
-            ("current", 1.0, self._mission_current),
-            ("home", 2.0, self._home_position),
-            ("landed", 1.0, self._landed_state),
+        for name, send in (
+            ("heartbeat", self._heartbeat),
+            ("position", self._position),
+            ("current", self._mission_current),
+            ("home", self._home_position),
+            ("landed", self._landed_state),
         ):
-            if now >= self._due.get(name, 0.0):
-                self._due[name] = now + every
+            every = 1.0 if name == "heartbeat" else self._every.get(name)
+            if every is not None and now >= self._due.get(name, 0.0):
+                if name == "position":  # as dense along the way as at normal speed
+                    every /= self._speed_up
+                self._due[name] = now + max(every, 1.0 / _MOST_MESSAGES_PER_S)
                 self._outbox.append(send())
         return self._flush()
 
@@ -208,6 +221,9 @@ class Autopilot:
         return number + (1 if self.profile.home_item else 0)
 
     def _reached(self, number: int) -> None:
+        returned = self.vehicle.items[number].command == mav.MAV_CMD_NAV_RETURN_TO_LAUNCH
+        if returned and not self.profile.tells_return:
+            return
         self._outbox.append(mav.MAVLink_mission_item_reached_message(self._wire_number(number)))
 
     def _current_changed(self, number: int) -> None:
@@ -227,6 +243,7 @@ class Autopilot:
     def _list_changed(self, kind: int) -> None:
         if kind == mav.MAV_MISSION_TYPE_MISSION:
             self.vehicle.load(self.missions.flight_items)
+            self._startable_at = self._ticked_at + self.profile.checks_for_s / self._speed_up
         reason = self._why_not()
         if reason is not None and self.vehicle.items:
             # As PX4: the list is acknowledged all the same.
@@ -259,13 +276,16 @@ class Autopilot:
         return int(mav.MAV_RESULT_ACCEPTED)
 
     def _start(self, params: tuple[float, ...]) -> int:
-        if not self.vehicle.armed:
+        if not (self.vehicle.armed or self.profile.start_arms):
             self._say(mav.MAV_SEVERITY_CRITICAL, "Mission denied: not armed")
             return int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
         reason = self._why_not()
+        if reason is None and self._ticked_at < self._startable_at:
+            reason = "no valid mission"
         if reason is not None:
             self._say(mav.MAV_SEVERITY_CRITICAL, f"Mission denied: {reason}")
             return int(mav.MAV_RESULT_DENIED)
+        self.vehicle.armed = True
         self.vehicle.restart_mission()
         return int(mav.MAV_RESULT_ACCEPTED)
 
@@ -302,6 +322,17 @@ class Autopilot:
         if not 0 <= number < len(self.vehicle.items):
             return int(mav.MAV_RESULT_DENIED)
         self.vehicle.restart_mission(int(number))
+        return int(mav.MAV_RESULT_ACCEPTED)
+
+    def _set_interval(self, params: tuple[float, ...]) -> int:
+        name, microseconds = _STREAM_NAMES.get(int(params[0])), params[1]
+        if name is None or not math.isfinite(microseconds):
+            return int(mav.MAV_RESULT_DENIED)
+        self._due.pop(name, None)
+        if microseconds < 0.0:
+            self._every.pop(name, None)
+        else:
+            self._every[name] = microseconds * 1e-6 or _DEFAULT_INTERVALS[name]
         return int(mav.MAV_RESULT_ACCEPTED)
 
     def _request_message(self, params: tuple[float, ...]) -> int:

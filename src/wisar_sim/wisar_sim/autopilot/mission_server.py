@@ -236,7 +236,7 @@ class MissionServer:
         if item is None or result != mav.MAV_MISSION_ACCEPTED:
             self._receiving = None
             return [_ack(result, kind, client)]
-        receiving.items.append(self._normalised(item))
+        receiving.items.append(self._normalised(kind, item))
         if len(receiving.items) < receiving.count:
             return [self._request(receiving, now)]
         self._receiving = None
@@ -267,7 +267,9 @@ class MissionServer:
                 return int(mav.MAV_MISSION_INVALID_PARAM7)
         return int(mav.MAV_MISSION_ACCEPTED)
 
-    def _normalised(self, item: StoredItem) -> StoredItem:
+    def _normalised(self, kind: int, item: StoredItem) -> StoredItem:
+        if self.profile.plain_places and kind != mav.MAV_MISSION_TYPE_MISSION:
+            return replace(item, params=(item.params[0], 0.0, 0.0, 0.0), autocontinue=0)
         if not self.profile.home_item:
             return item
         # ArduPilot keeps altitudes in centimetres and no headings of waypoints.

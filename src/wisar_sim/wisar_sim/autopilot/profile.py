@@ -52,6 +52,17 @@ class Profile:
         Whether a second transfer is ignored while one is in progress.
     repeats_acknowledgement
         Whether the last item, sent again, is acknowledged again.
+    plain_places
+        Whether fence corners and rally points keep nothing but their place and first parameter:
+        the others read back as 0, autocontinue too.
+    start_arms
+        Whether MISSION_START arms a vehicle that is not.
+    checks_for_s
+        Seconds after an upload in which the mission cannot be started yet.
+    tells_return
+        Whether a return to launch is told as reached.
+    streams_when_asked
+        Whether nothing but the heartbeat is sent regularly until it is asked for.
     """
 
     name: str
@@ -68,6 +79,11 @@ class Profile:
     home_item: bool = False
     busy_when_transferring: bool = False
     repeats_acknowledgement: bool = False
+    plain_places: bool = False
+    start_arms: bool = False
+    checks_for_s: float = 0.0
+    tells_return: bool = True
+    streams_when_asked: bool = False
 
 
 PROFILES: dict[str, Profile] = {
@@ -77,6 +93,10 @@ PROFILES: dict[str, Profile] = {
         requests=Requests.ADAPTIVE,
         busy_when_transferring=True,
         repeats_acknowledgement=True,
+        plain_places=True,
+        start_arms=True,
+        checks_for_s=1.0,
+        tells_return=False,
     ),
     "ardupilot": Profile(
         "ardupilot",
@@ -89,6 +109,7 @@ PROFILES: dict[str, Profile] = {
         says_giving_up=True,
         boot_s=6.0,
         home_item=True,
+        streams_when_asked=True,
     ),
     "mavsdk": Profile(
         "mavsdk",
