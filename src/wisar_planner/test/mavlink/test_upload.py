@@ -1,5 +1,7 @@
 """Sending a list, message by message, at a time of the test's choosing."""
 
+from dataclasses import replace
+
 import pytest
 from pymavlink.dialects.v20 import common as mav
 
@@ -12,6 +14,7 @@ from wisar_planner.mavlink.upload import Upload, UploadEnd
 TARGET = Address(1, 1)
 ITEMS = tuple(MissionItem(16, 6, x=n, y=-n, z=10.0) for n in range(3))
 OK = mav.MAV_MISSION_ACCEPTED
+STRICT = replace(ARDUPILOT, strict_sequence=True)
 
 
 def upload(items=ITEMS, dialect=PX4, **policy):
@@ -85,24 +88,49 @@ def test_silence_ends_in_words_within_bounds():
     assert now < 30.0
 
 
-def test_an_item_is_sent_again_when_nothing_happens_but_not_to_ardupilot():
-    for dialect, expected in ((PX4, [("MISSION_ITEM_INT", 0)]), (ARDUPILOT, [])):
+def test_an_item_is_sent_again_when_nothing_happens_but_late_to_a_strict_autopilot():
+    for dialect, earliest in ((PX4, 0.1), (ARDUPILOT, 0.1), (STRICT, 2.5)):
         machine, _ = upload(dialect=dialect)
         machine.start(0.0)
         machine.on_message(request(0), 0.1)
-        assert sent(machine.on_time(machine.deadline)) == expected
+        out, now = [], 0.1
+        while not out:
+            now = machine.deadline
+            out = machine.on_time(now)
+        assert sent(out) == [("MISSION_ITEM_INT", 0)]
+        assert earliest < now < 4.0
+
+
+def test_a_wrong_sequence_number_is_no_refusal():
+    machine, _ = upload(dialect=ARDUPILOT)
+    machine.start(0.0)
+    machine.on_message(request(0), 0.1)
+    machine.on_message(ack(mav.MAV_MISSION_INVALID_SEQUENCE), 0.2)
+    assert sent(machine.on_time(machine.deadline)) == [("MISSION_ITEM_INT", 0)]
+    assert not machine.done
+    assert machine.told_wrong_sequence
+
+
+def test_an_error_after_the_last_item_leaves_the_answer_to_the_reading():
+    machine, _ = upload(dialect=ARDUPILOT)
+    machine.start(0.0)
+    for n in range(3):
+        machine.on_message(request(n), 0.1 * n)
+    machine.on_message(ack(mav.MAV_MISSION_ERROR), 0.4)
+    run_out(machine, 0.4)
+    assert machine.end is UploadEnd.UNACKNOWLEDGED
 
 
 def test_duplicates_of_a_request_are_answered_once():
-    machine, _ = upload(dialect=ARDUPILOT)
+    machine, _ = upload(dialect=STRICT)
     machine.start(0.0)
     assert len(machine.on_message(request(0), 0.1)) == 1
     assert machine.on_message(request(0), 0.3) == []
     assert len(machine.on_message(request(0), 1.2)) == 1  # now it is asked again for real
 
 
-def test_a_late_request_does_not_abort_an_upload_to_ardupilot():
-    machine, _ = upload(dialect=ARDUPILOT)
+def test_a_late_request_does_not_abort_an_upload_to_a_strict_autopilot():
+    machine, _ = upload(dialect=STRICT)
     machine.start(0.0)
     machine.on_message(request(0), 0.1)
     machine.on_message(request(1), 0.2)

@@ -23,8 +23,8 @@ class Dialect:
         Whether item 0 of the mission is home: it is not flown, and reads back as the autopilot
         wants it.
     strict_sequence
-        Whether an item that was not asked for ends the upload (INVALID_SEQUENCE). Then items
-        are never sent twice on suspicion; the autopilot asks again by itself.
+        Whether an item that was not asked for may end the upload (INVALID_SEQUENCE). Then items
+        are sent twice on suspicion only when the autopilot's own repeated request is overdue.
     stores_defaults
         Whether a parameter sent as NaN ("your default") has to be sent as 0.
     altitude_step, rally_altitude_step
@@ -124,7 +124,6 @@ PX4 = Dialect("PX4", gives_up_after_s=5.0)
 ARDUPILOT = Dialect(
     "ArduPilot",
     home_item=True,
-    strict_sequence=True,
     stores_defaults=True,
     altitude_step=0.011,
     rally_altitude_step=1.0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
 from pymavlink.dialects.v20 import common as mav
@@ -157,6 +157,7 @@ class ListTransfer:
         self._pause_until = NEVER
         self._after_pause: Callable[[float], list[Message]] = self.start
         self._wire_count = 0
+        self._careful = False
         self._reads = 0
         self._differed = False
         self._failure: tuple[UploadCode, str] | None = None
@@ -196,11 +197,12 @@ class ListTransfer:
         if self._wanted:
             wire = self._dialect.to_wire(self._kind, self._wanted)
             self._wire_count = len(wire)
+            dialect = self._dialect
             self._sender = Upload(
                 wire,
                 self._kind,
                 self._target,
-                self._dialect,
+                replace(dialect, strict_sequence=dialect.strict_sequence or self._careful),
                 link=self._links.sending,
                 on_progress=self._sent,
             )
@@ -282,6 +284,9 @@ class ListTransfer:
             # An autopilot that does not know such a list holds none, which is what was wanted.
             self._finish(UploadCode.VERIFIED, "")
             return []
+        if isinstance(sender, Upload) and sender.told_wrong_sequence:
+            # It may have ended the upload because of a repeated item: try the other way next.
+            self._careful = not self._careful
         if sender.end in (UploadEnd.REFUSED, RequestEnd.REFUSED):
             result = sender.result if sender.result is not None else -1
             return self._failed(

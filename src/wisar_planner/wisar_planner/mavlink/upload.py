@@ -102,6 +102,8 @@ class Upload:
         self.end: UploadEnd | None = None
         self.result: int | None = None
         """MAV_MISSION_RESULT of a refusal."""
+        self.told_wrong_sequence = False
+        """Whether the autopilot said that an item was not the one that it had asked for."""
 
     @property
     def done(self) -> bool:
@@ -195,6 +197,11 @@ class Upload:
             if self._all_sent:
                 self._finish(UploadEnd.ACCEPTED)
             return
+        if result == mav.MAV_MISSION_INVALID_SEQUENCE:
+            # Answers an item that came twice. ArduCopter goes on (an old one may not: then the next
+            # item is answered with another error, or not at all).
+            self.told_wrong_sequence = True
+            return
         self._error = result
         grace = self._link.timeout
         if is_passing(result):
@@ -204,6 +211,10 @@ class Upload:
     def on_time(self, now: float) -> list[Message]:
         """Send again what found no answer, or give up."""
         if self.done or now < self._deadline:
+            return []
+        if self._error == mav.MAV_MISSION_ERROR and self._all_sent:
+            # Also what ArduPilot says to the last item when it has it already.
+            self._finish(UploadEnd.UNACKNOWLEDGED)
             return []
         if self._error is not None:
             self.result = self._error
@@ -224,7 +235,7 @@ class Upload:
         ):
             self._finish(UploadEnd.STALLED)
             return []
-        if self._dialect.strict_sequence:
+        if self._dialect.strict_sequence and silent < self._dialect.asks_again_after_s:
             self._deadline = now + self._link.timeout
             return []
         return self._send_item(now)

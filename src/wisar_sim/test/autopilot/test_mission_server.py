@@ -123,12 +123,28 @@ def test_a_wrong_sequence_number_is_overlooked_and_the_item_asked_for_again(prof
     assert [short(m)[1] for m in target.tick(BOOTED + after)] == [0]
 
 
-def test_ardupilot_aborts_at_a_wrong_sequence_number():
+def test_ardupilot_tells_a_wrong_sequence_number_and_goes_on():
+    target = server("ardupilot")
+    told = ("ACK", mav.MAV_MISSION_INVALID_SEQUENCE)
+    talk(target, count(3))
+    assert talk(target, item(2)) == [told]
+    assert talk(target, item(0)) == [("REQUEST", 1)]
+    assert talk(target, item(0)) == [told]
+    assert [short(m) for m in target.tick(BOOTED + 1.0)] == [("REQUEST", 1)]
+    assert talk(target, item(1), item(2)) == [("ACK", ACCEPTED)]
+    # Outside an upload every item is an error, also the last one again.
+    assert talk(target, item(2)) == [("ACK", mav.MAV_MISSION_ERROR)]
+
+
+def test_wrong_sequence_numbers_do_not_keep_an_upload_alive():
     target = server("ardupilot")
     talk(target, count(3))
-    assert talk(target, item(2)) == [("ACK", mav.MAV_MISSION_INVALID_SEQUENCE)]
-    assert target.tick(BOOTED + 5.0) == []
-    assert talk(target, item(0)) == []
+    for after in range(1, 8):
+        assert talk(target, item(2), now=BOOTED + after) == [
+            ("ACK", mav.MAV_MISSION_INVALID_SEQUENCE)
+        ]
+    said = [short(m) for m in target.tick(BOOTED + 8.0)]
+    assert said == [("ACK", mav.MAV_MISSION_OPERATION_CANCELLED)]
 
 
 @pytest.mark.parametrize(("profile", "after"), [("px4", 0.26), ("ardupilot", 1.0), ("mavsdk", 0.5)])

@@ -1,5 +1,7 @@
 """Uploads over bad links at simulated time: whole or not at all, and the operator knows which."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -288,6 +290,24 @@ def test_px4_gets_its_mission_over_very_bad_links(loss):
     )
     for seed in range(8):
         setup = Setup("px4", faults, seed)
+        assert setup.upload(mission(61), kinds=[MissionKind.MISSION]).verified
+
+
+@pytest.mark.parametrize("loss", [0.1, 0.3, 0.5])
+def test_ardupilot_gets_its_mission_over_very_bad_links_that_repeat(loss):
+    faults = LinkFaults(
+        loss=loss, duplication=0.1, reordering=0.1, corruption=0.01, delay_s=0.02, jitter_s=0.02
+    )
+    for seed in range(4):
+        setup = Setup("ardupilot", faults, seed)
+        assert setup.upload(mission(61), kinds=[MissionKind.MISSION]).verified
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.2])
+def test_an_autopilot_that_ends_the_upload_at_a_repeated_item_is_served_too(loss):
+    for seed in range(4):
+        setup = Setup("ardupilot", LinkFaults(loss=loss, delay_s=0.03, jitter_s=0.03), seed)
+        setup.server.profile = replace(setup.profile, wrong_sequence_aborts=True)
         assert setup.upload(mission(61), kinds=[MissionKind.MISSION]).verified
 
 

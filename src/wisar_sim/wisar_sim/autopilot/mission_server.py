@@ -219,18 +219,21 @@ class MissionServer:
         receiving = self._receiving
         if receiving is None or receiving.client != client:
             if not self.profile.repeats_acknowledgement:
-                return []
+                said = self.profile.says_wrong_sequence
+                return [_ack(mav.MAV_MISSION_ERROR, kind, client)] if said else []
             known = self._last_accepted == (client, kind, seq)
             result = mav.MAV_MISSION_ACCEPTED if known else mav.MAV_MISSION_ERROR
             return [_ack(result, kind, client)]
         if kind != receiving.kind:
             return [_ack(mav.MAV_MISSION_ERROR, kind, client)]
-        receiving.heard = now
         if seq != len(receiving.items):
-            if not self.profile.wrong_sequence_aborts:
+            if not self.profile.says_wrong_sequence:
+                receiving.heard = now
                 return []
-            self._receiving = None
+            if self.profile.wrong_sequence_aborts:
+                self._receiving = None
             return [_ack(mav.MAV_MISSION_INVALID_SEQUENCE, kind, client)]
+        receiving.heard = now
         item = _item_of(message)
         result = mav.MAV_MISSION_INVALID if item is None else self._check(kind, item)
         if item is None or result != mav.MAV_MISSION_ACCEPTED:
