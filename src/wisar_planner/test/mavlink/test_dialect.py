@@ -130,6 +130,18 @@ def test_only_arm_arms(intent, autopilot, vehicle):
     assert not any(code == mav.MAV_CMD_NAV_TAKEOFF for code, _ in commands)
 
 
+@pytest.mark.parametrize(("mode", "steps"), [(0, 1), (3, 2), (4, 1), (5, 1), (6, 2)])
+def test_a_copter_left_in_a_mode_of_flight_is_put_into_guided_to_be_armed(mode, steps):
+    copter = (mav.MAV_AUTOPILOT_ARDUPILOTMEGA, mav.MAV_TYPE_QUADROTOR)
+    commands = commands_for(Intent.ARM, *copter, mode)
+    assert len(commands) == steps
+    assert commands[-1][0] == mav.MAV_CMD_COMPONENT_ARM_DISARM
+    if steps == 2:
+        assert commands[0] == (mav.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 0.0))
+    for other in ((mav.MAV_AUTOPILOT_PX4, 2), (copter[0], mav.MAV_TYPE_FIXED_WING)):
+        assert len(commands_for(Intent.ARM, *other, mode)) == 1
+
+
 def test_copters_pause_without_a_throttle_stick():
     ((_, (_, mode, _)),) = commands_for(
         Intent.PAUSE, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, mav.MAV_TYPE_QUADROTOR

@@ -297,7 +297,13 @@ class MissionClient:
     # -- explicit requests to the vehicle ------------------------------------------------------
 
     def arm(self) -> None:
-        """Arm the motors. Raises LinkError if the vehicle refuses or does not answer."""
+        """Arm the motors. Raises LinkError if the vehicle refuses or does not answer.
+
+        A copter of ArduPilot that still is in the mode of an earlier flight, in which it cannot
+        be armed, is put into GUIDED first.
+        """
+        if self._require_vehicle().armed:
+            return  # above all, no change of mode in flight
         self._request("ARM", Intent.ARM)
         self._armed_at = time.monotonic()
 
@@ -347,7 +353,8 @@ class MissionClient:
 
     def _request(self, words: str, intent: Intent) -> None:
         state = self._require_vehicle()
-        for code, params in commands_for(intent, state.autopilot, state.vehicle_type):
+        steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
+        for code, params in steps:
             command = self._exchange(
                 Command(code, params, self._target(state), link=self._links.asking)
             )

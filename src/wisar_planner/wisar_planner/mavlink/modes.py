@@ -27,6 +27,9 @@ _PX4_SUB_MODES = {Intent.PAUSE: 3.0, Intent.RESUME: 4.0, Intent.RETURN: 5.0}
 
 # ArduPilot mode numbers; copters pause in BRAKE, because LOITER obeys the throttle stick.
 _COPTER_MODES = {Intent.START: 3.0, Intent.PAUSE: 17.0, Intent.RESUME: 3.0, Intent.RETURN: 6.0}
+# In these a copter refuses to be armed (it is left in AUTO or RTL after a flight); GUIDED waits.
+_COPTER_NOT_ARMABLE = frozenset({3, 6, 9, 17, 21})  # AUTO, RTL, LAND, BRAKE, SMART_RTL
+_COPTER_GUIDED = 4.0
 _PLANE_MODES = {Intent.START: 10.0, Intent.PAUSE: 12.0, Intent.RESUME: 10.0, Intent.RETURN: 11.0}
 
 _PLANE_TYPES = frozenset(
@@ -37,7 +40,9 @@ _PLANE_TYPES = frozenset(
 )
 
 
-def commands_for(intent: Intent, autopilot: int, vehicle_type: int) -> Commands:
+def commands_for(
+    intent: Intent, autopilot: int, vehicle_type: int, custom_mode: int = 0
+) -> Commands:
     """Return the commands that express an intent.
 
     Parameters
@@ -46,10 +51,16 @@ def commands_for(intent: Intent, autopilot: int, vehicle_type: int) -> Commands:
         What the operator asked for.
     autopilot, vehicle_type
         MAV_AUTOPILOT and MAV_TYPE codes of the heartbeat.
+    custom_mode
+        The autopilot's own mode in the heartbeat.
     """
     if intent in (Intent.ARM, Intent.DISARM):
         on = 1.0 if intent is Intent.ARM else 0.0
-        return ((mav.MAV_CMD_COMPONENT_ARM_DISARM, (on,)),)
+        arm = (mav.MAV_CMD_COMPONENT_ARM_DISARM, (on,))
+        copter = autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA and vehicle_type not in _PLANE_TYPES
+        if intent is Intent.ARM and copter and custom_mode in _COPTER_NOT_ARMABLE:
+            return (_set_mode(_COPTER_GUIDED), arm)
+        return (arm,)
     start = (mav.MAV_CMD_MISSION_START, (0.0, 0.0))
     if autopilot == mav.MAV_AUTOPILOT_PX4:
         if intent is Intent.START:

@@ -22,6 +22,8 @@ class VehicleState:
         Ids of the autopilot.
     autopilot, vehicle_type
         MAV_AUTOPILOT and MAV_TYPE codes of the heartbeat.
+    custom_mode
+        The autopilot's own number of its mode.
     armed
         Whether the motors may turn.
     heard_at
@@ -47,6 +49,7 @@ class VehicleState:
     component: int
     autopilot: int = mav.MAV_AUTOPILOT_GENERIC
     vehicle_type: int = mav.MAV_TYPE_GENERIC
+    custom_mode: int = 0
     armed: bool = False
     heard_at: float = 0.0
     latitude: float | None = None
@@ -73,6 +76,7 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
         return {
             "autopilot": message.autopilot,
             "vehicle_type": message.type,
+            "custom_mode": message.custom_mode,
             "armed": bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED),
             "heard_at": now,
         }

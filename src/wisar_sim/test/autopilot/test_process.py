@@ -134,6 +134,12 @@ def test_upload_verify_and_fly_to_the_end(start, profile):
         wait_for(lambda: client.vehicle.reached_item == len(MISSION.items) - 1)
         wait_for(lambda: not client.vehicle.armed)
         assert client.vehicle.relative_altitude == pytest.approx(0.0, abs=0.5)
+        # It still is in AUTO, where it cannot be armed: the next flight starts all the same.
+        client.arm()
+        client.start_mission()
+        wait_for(lambda: client.vehicle.relative_altitude > 1.0)
+        client.arm()  # changes nothing in flight
+        wait_for(lambda: client.vehicle.current_item == len(MISSION.items) - 1)
 
 
 def test_nothing_starts_that_is_not_armed(start):

@@ -297,3 +297,16 @@ def test_ardupilot_sends_only_heartbeats_until_it_is_asked():
     assert bench.command(interval, position, -1.0) == OK
     assert set(names(bench, 5.0)) == {"HEARTBEAT"}
     assert bench.command(interval, 99.0, 5e5) == mav.MAV_RESULT_DENIED
+
+
+def test_a_copter_of_ardupilot_stays_in_auto_where_it_cannot_be_armed():
+    bench = Bench("ardupilot")
+    bench.upload(mission())
+    assert bench.arm() == OK
+    assert bench.start() == OK
+    bench.step(120.0)
+    assert not bench.autopilot.vehicle.armed
+    assert bench.last("HEARTBEAT").custom_mode == 3
+    assert bench.arm() == mav.MAV_RESULT_FAILED
+    assert bench.command(mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0) == OK
+    assert bench.arm() == OK

@@ -70,7 +70,12 @@ class Autopilot:
         self.system = system
         self.component = component
         self.vehicle = Vehicle(
-            home, airframe, wind, on_reached=self._reached, on_current=self._current_changed
+            home,
+            airframe,
+            wind,
+            on_reached=self._reached,
+            on_current=self._current_changed,
+            stays_in_mission=profile.stays_in_mission,
         )
         self.missions = MissionServer(profile, self._home_item, self._list_changed)
         self._speed_up = speed_up
@@ -272,6 +277,10 @@ class Autopilot:
         wanted = params[0] == 1.0
         if not wanted and self.vehicle.flying:
             return int(mav.MAV_RESULT_DENIED)
+        flown = self.vehicle.mode in (Mode.MISSION, Mode.RETURN, Mode.LAND)
+        if wanted and flown and self.profile.stays_in_mission:
+            self._say(mav.MAV_SEVERITY_CRITICAL, "Arm: AUTO mode not armable")
+            return int(mav.MAV_RESULT_FAILED)
         self.vehicle.armed = wanted
         return int(mav.MAV_RESULT_ACCEPTED)
 

@@ -34,8 +34,11 @@ class Profile:
         Whether unknown commands and frames are refused.
     checks_values
         Whether places and altitudes that cannot be, and NaN parameters, are refused.
+    says_wrong_sequence
+        Whether an item that was not asked for is answered: with INVALID_SEQUENCE in an upload,
+        with ERROR outside one. It does not count as a sign of life.
     wrong_sequence_aborts
-        Whether an item that was not asked for ends the upload with INVALID_SEQUENCE.
+        Whether it ends the upload as well. No profile does that; clients should survive it.
     retry_after_s
         When an item that did not come is asked for again.
     gives_up_after_s
@@ -61,6 +64,9 @@ class Profile:
         Seconds after an upload in which the mission cannot be started yet.
     tells_return
         Whether a return to launch is told as reached.
+    stays_in_mission
+        Whether the mode remains that of the mission at its end, in which, as in a return, the
+        vehicle cannot be armed.
     streams_when_asked
         Whether nothing but the heartbeat is sent regularly until it is asked for.
     """
@@ -70,6 +76,7 @@ class Profile:
     requests: Requests = Requests.INT
     checks_commands: bool = True
     checks_values: bool = False
+    says_wrong_sequence: bool = False
     wrong_sequence_aborts: bool = False
     retry_after_s: float = 0.26
     gives_up_after_s: float = 5.0
@@ -83,6 +90,7 @@ class Profile:
     start_arms: bool = False
     checks_for_s: float = 0.0
     tells_return: bool = True
+    stays_in_mission: bool = False
     streams_when_asked: bool = False
 
 
@@ -103,12 +111,13 @@ PROFILES: dict[str, Profile] = {
         mav.MAV_AUTOPILOT_ARDUPILOTMEGA,
         requests=Requests.LEGACY,
         checks_values=True,
-        wrong_sequence_aborts=True,
+        says_wrong_sequence=True,
         retry_after_s=1.0,
         gives_up_after_s=8.0,
         says_giving_up=True,
         boot_s=6.0,
         home_item=True,
+        stays_in_mission=True,
         streams_when_asked=True,
     ),
     "mavsdk": Profile(

@@ -51,6 +51,8 @@ class Vehicle:
         See `dynamics.Body`.
     on_reached, on_current
         Called with the number of an item that was reached, or that is flown to next.
+    stays_in_mission
+        Whether the mode remains that of the mission at its end.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Vehicle:
         *,
         on_reached: Callable[[int], None] = lambda _: None,
         on_current: Callable[[int], None] = lambda _: None,
+        stays_in_mission: bool = False,
     ) -> None:
         self.home = home
         self.frame = LocalFrame(home)
@@ -69,6 +72,8 @@ class Vehicle:
         self.mode = Mode.HOLD
         self.items: tuple[StoredItem, ...] = ()
         self.current = 0
+        self._stays_in_mission = stays_in_mission
+        self._mission_ended = False
         self._speed = self.body.airframe.cruise_speed
         self._waited_s = 0.0
         self._target: NDArray[np.float64] | None = None
@@ -83,12 +88,13 @@ class Vehicle:
         """Take in a new mission; a flight of the old one ends in a hold."""
         self.items = tuple(items)
         self._go_to(0)
-        if self.mode is Mode.MISSION:
+        if self.mode is Mode.MISSION and not self._mission_ended:
             self.set_mode(Mode.HOLD)
 
     def set_mode(self, mode: Mode) -> None:
         """Change what the vehicle does."""
         self.mode = mode
+        self._mission_ended = False
         self._target = None
         self._hold_at = None
         self._waited_s = 0.0
@@ -132,7 +138,7 @@ class Vehicle:
         if not self.armed:
             self.body.stand()
             return
-        if self.mode is Mode.MISSION:
+        if self.mode is Mode.MISSION and not self._mission_ended:
             self._step_mission(dt)
         elif self.mode is Mode.RETURN:
             self._step_return(dt)
@@ -155,7 +161,7 @@ class Vehicle:
             if item.command == mav.MAV_CMD_DO_CHANGE_SPEED and item.params[1] > 0.0:
                 self._speed = min(item.params[1], self.body.airframe.max_airspeed)
             self._finish_item()
-        self.set_mode(Mode.HOLD)
+        self._end_mission()
 
     def _fly_item(self, item: StoredItem, dt: float) -> None:
         if item.command == mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
@@ -217,7 +223,12 @@ class Vehicle:
         if self.current + 1 < len(self.items):
             self._go_to(self.current + 1)
         else:
+            self._end_mission()
+
+    def _end_mission(self) -> None:
+        if not self._stays_in_mission:
             self.set_mode(Mode.HOLD)
+        self._mission_ended = True
 
     def _go_to(self, number: int) -> None:
         self.current = number
