@@ -51,6 +51,7 @@ _ONLY_MISSION = [MissionKind.MISSION]
 _VEHICLE = Address(1, 1)
 _REAL_UPLOADS = {0.0: 16, 0.1: 16, 0.3: 8, 0.5: 4}
 _CLEAN_REPETITIONS = 30
+_LATEST_CUT_S = 14.0  # about when the read-back of the longest uploads ends
 
 
 def _mission(items: int, north: float = 57.0, altitude: float = 40.0) -> Mission:
@@ -241,11 +242,6 @@ def _loss_row(percent: int) -> BenchRow:
     loss = percent / 100.0
     main = _simulated_uploads("px4", loss, UPLOADS)
     others = {p: _simulated_uploads(p, loss, UPLOADS // 5) for p in ("mavsdk", "ardupilot")}
-    # ArduPilot ends an upload at any item that comes twice, which nobody can prevent on a link
-    # that duplicates; without that it shows what losses alone do.
-    others["ardupilot, nothing duplicated"] = _simulated_uploads(
-        "ardupilot", loss, UPLOADS // 5, duplication=0.0
-    )
     real = _real_uploads(loss, _REAL_UPLOADS[loss])
     compared = _REAL_UPLOADS[loss]
     theirs = _mavsdk_uploads(loss, compared) / compared if _has_mavsdk() else None
@@ -272,7 +268,7 @@ def _loss_row(percent: int) -> BenchRow:
 
 
 def _cut_row() -> BenchRow:
-    """Cut the link for good at random moments of an upload, while items are still to come."""
+    """Cut the link for good at random moments of an upload, and see what either side holds."""
     from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
     from wisar_sim.autopilot.conversation import Conversation
 
@@ -286,19 +282,26 @@ def _cut_row() -> BenchRow:
         server.lists[0] = _stored(old)
         talk = Conversation(server, BadLink(faults, 2 * seed), BadLink(faults, 2 * seed + 1))
         talk.now = 60.0
-        finished = talk.run(_transfer(new, server), until=talk.now + rng.uniform(0.0, 5.0))
+        transfer = _transfer(new, server)
+        if talk.run(transfer, until=talk.now + rng.uniform(0.0, _LATEST_CUT_S)):
+            outcomes["ended_before_the_cut"] += 1
+        talk.cut()
+        talk.go_on(transfer)
         talk.settle(60.0)
-        held = _places(server.lists[0])
-        if held == _places(old.items):
-            outcomes["failed_old_held" if finished else "old_intact"] += 1
-        elif held == _places(new.items):
-            outcomes["new_whole"] += 1
-        else:
-            outcomes["mixed"] += 1
+        result, held = transfer.result, _held(server.lists[0], old, new)
+        assert result is not None
+        outcomes[f"{held.name.lower()}_held"] += 1
+        wrong = (result.verified and held is not _Held.NEW) or (
+            result.old_counts and held is not _Held.OLD
+        )
+        outcomes["told_wrong"] += wrong or not (result.verified or result.error)
     return BenchRow(
         name="old_mission_intact_after_cut",
-        unit=f"of {CUTS} uploads cut left a mission neither old nor new",
-        ours=outcomes["mixed"],
+        unit=(
+            f"of {CUTS} uploads cut left a mission neither old ({outcomes['old_held']}) nor new "
+            f"({outcomes['new_held']}), or told the operator wrong"
+        ),
+        ours=outcomes["other_held"] + outcomes["told_wrong"],
         details={"cuts": CUTS, **dict(outcomes), "profiles": profiles},
     )
 

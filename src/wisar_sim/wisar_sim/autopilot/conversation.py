@@ -6,7 +6,7 @@ import math
 
 from wisar_planner.mavlink.codec import Codec, Message
 from wisar_planner.mavlink.exchange import Address, Exchange
-from wisar_sim.autopilot.bad_link import BadLink
+from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
 from wisar_sim.autopilot.mission_server import Client, MissionServer
 
 
@@ -61,6 +61,14 @@ class Conversation:
             Whether the exchange has ended.
         """
         self._send_up(exchange.start(self.now))
+        return self.go_on(exchange, until=until)
+
+    def cut(self) -> None:
+        """Lose everything from now on, both ways, and what is under way as well."""
+        self._up, self._down = (BadLink(LinkFaults(loss=1.0)) for _ in range(2))
+
+    def go_on(self, exchange: Exchange, *, until: float = math.inf) -> bool:
+        """Let time pass for an exchange that was started; see `run`."""
         while not exchange.done:
             after = min(
                 exchange.deadline,
