@@ -1,4 +1,4 @@
-"""Ctrl-C ends a node without a traceback, whenever it comes."""
+"""Ctrl-C ends a node without a traceback, and wrong ROS arguments end it with a line."""
 
 from __future__ import annotations
 
@@ -59,3 +59,24 @@ def test_ctrl_c_is_quiet(tmp_path: Path, when: str) -> None:
         timeout=60,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, output, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--params-file", "missing.yaml"], "missing.yaml"),
+        (["--nonsense"], "--nonsense"),
+        (["-p", "foo"], "-p foo"),
+    ],
+)
+def test_wrong_ros_arguments_are_named(arguments: list[str], words: str) -> None:
+    script = "import sys; from wisar_planner.nodes.runtime import spin; sys.exit(spin(object))"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--ros-args", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert words in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr

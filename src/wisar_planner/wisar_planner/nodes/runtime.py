@@ -42,6 +42,13 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     """
     try:
         rclpy.init(args=arguments)
+    except KeyboardInterrupt:
+        return 0
+    except RuntimeError as error:  # rclpy's errors have no public names
+        text = " ".join(str(error).split(", at ")[0].split())
+        print(f"{factory.__name__}: ROS arguments not understood: {text}", file=sys.stderr)
+        return 2
+    try:
         node = factory()
     except _USER_MISTAKES as error:
         print(f"{factory.__name__}: {error}", file=sys.stderr)
