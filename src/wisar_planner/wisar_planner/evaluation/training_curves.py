@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,10 +92,11 @@ def draw(curves: Sequence[TrainingCurve]) -> Figure:
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     groups = _by_policy(curves)
     styles = looks(list(groups))
-    for axes, label, along in (
-        (figure.add_subplot(1, 2, 1), "steps flown", lambda each: each.steps),
-        (figure.add_subplot(1, 2, 2), "training time, min", lambda each: each.seconds / 60.0),
-    ):
+    views: tuple[tuple[str, Callable[[Validation], float]], ...] = (
+        ("steps flown", lambda each: each.steps),
+        ("training time, min", lambda each: each.seconds / 60.0),
+    )
+    for axes, (label, along) in zip(figure.subplots(1, 2), views, strict=True):
         for policy, runs in groups.items():
             for i, run in enumerate(runs):
                 axes.plot(
