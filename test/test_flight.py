@@ -6,13 +6,16 @@ flown: simulators only.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from pymavlink import mavutil
 from std_srvs.srv import Trigger
 
 from wisar_msgs.msg import MissionStatus
@@ -20,7 +23,7 @@ from wisar_planner.mavlink.client import MissionClient
 from wisar_planner.mavlink.mission import Mission
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_sim.nodes.operator import Operator
-from wisar_sim.processes import executable, free_udp_port
+from wisar_sim.processes import executable, free_udp_port, only_one
 
 REAL = os.environ.get("WISAR_AUTOPILOT")
 
@@ -63,11 +66,18 @@ def moved_to(place: GeoOrigin, map_file: Path) -> Path:
 
 
 def targets() -> list[object]:
-    real = pytest.param("real", marks=pytest.mark.timeout(900))
+    real = pytest.param("real", marks=pytest.mark.timeout(1800))
     return ["px4", "ardupilot", *([real] if REAL else [])]
 
 
-@pytest.mark.parametrize("target", targets())
+@pytest.fixture
+def target(request: pytest.FixtureRequest) -> Iterator[str]:
+    """What is flown; a real autopilot by one test at a time."""
+    with only_one("autopilot") if request.param == "real" else contextlib.nullcontext():
+        yield request.param
+
+
+@pytest.mark.parametrize("target", targets(), indirect=True)
 def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, target: str) -> None:
     settings: dict[str, object] = {"speed": 10.0, "fence": True, "rally": True}
     if target == "real":
@@ -155,6 +165,35 @@ def test_unsafe_missions_are_refused_before_the_upload(suite, mixture_file, tmp_
     assert operator.mission.state != MissionStatus.VERIFIED
     # The bridge tells of the plan before it has written the files.
     suite.wait(lambda: all(map(Path.exists, files)), "the plan files")
+
+
+def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(
+    suite, mixture_file
+) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    connection = f"udpin:127.0.0.1:{suite.port}"
+    suite.start("wisar_planner", "mavlink_bridge", connection=connection)
+    operator = suite.operator
+    vehicle = mavutil.mavlink_connection(f"udpout:127.0.0.1:{suite.port}", source_system=1)
+
+    def connected() -> bool:
+        vehicle.mav.heartbeat_send(2, 12, 0, 0, 3)
+        return operator.mission is not None and operator.mission.connected
+
+    try:
+        ready = "call upload_mission"
+        suite.wait(
+            lambda: connected() and ready in suite.log("mavlink_bridge"), "the plan and a link"
+        )
+        suite.wait_for_bridge()
+        assert operator.mission.planned_map_id == ""
+        operator.request_upload()
+        suite.wait(lambda: connected() and operator.upload_result, "the bridge's answer")
+        assert operator.upload_result.error_code == operator.upload_result.UNSAFE
+        assert "position is not known" in operator.upload_result.error_text
+    finally:
+        vehicle.close()
 
 
 def test_an_unknown_vehicle_refuses_requests_in_words(suite) -> None:

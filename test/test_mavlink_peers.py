@@ -6,6 +6,7 @@ It is armed and flown: simulators only.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -26,6 +27,7 @@ from wisar_planner.mavlink.files import write_plan_file
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind, build_mission
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
+from wisar_sim.processes import only_one
 
 mavsdk = pytest.importorskip("mavsdk", reason="needs the PyPI package mavsdk")
 action = pytest.importorskip("mavsdk.plugins.action")
@@ -249,7 +251,7 @@ def test_our_client_uploads_5000_items_to_mavsdk(mavsdk_autopilot: MavsdkAutopil
 
 
 def targets() -> list[object]:
-    real = pytest.param("real", marks=pytest.mark.timeout(900))
+    real = pytest.param("real", marks=pytest.mark.timeout(1800))
     return ["px4", "ardupilot", "mavsdk", *([real] if REAL else [])]
 
 
@@ -276,7 +278,14 @@ def arm(client: MissionClient, seconds: float) -> None:
             return
 
 
-@pytest.mark.parametrize("target", targets())
+@pytest.fixture
+def target(request: pytest.FixtureRequest) -> Iterator[str]:
+    """What is flown; a real autopilot by one test at a time."""
+    with only_one("autopilot") if request.param == "real" else contextlib.nullcontext():
+        yield request.param
+
+
+@pytest.mark.parametrize("target", targets(), indirect=True)
 def test_upload_verify_and_fly_to_the_end(simulated: Callable[..., str], target: str) -> None:
     if target == "real":
         assert REAL is not None

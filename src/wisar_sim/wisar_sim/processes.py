@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
 import random
 import signal
 import socket
 import subprocess
+import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,6 +25,14 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 class ProcessDied(RuntimeError):  # noqa: N818 - an event, not an error of the caller
     """A process ended that was to run on; the text names it and shows the end of its log."""
+
+
+@contextlib.contextmanager
+def only_one(name: str) -> Iterator[None]:
+    """Wait until no other process holds this name, and hold it: for tests that share a thing."""
+    with (Path(tempfile.gettempdir()) / f"wisar-{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def executable(package: str, name: str) -> Path:
