@@ -132,6 +132,7 @@ class ListTransfer:
     _MOST_ATTEMPTS = 8
     _MOST_REFUSALS = 5
     _MOST_READS = 10
+    _MOST_SILENT_READS = 4
     _PAUSE_S = 1.0
     _LONGEST_PAUSE_S = 3.0
 
@@ -319,6 +320,13 @@ class ListTransfer:
             # An autopilot that still waits for the last item reads nothing out until it gives up.
             if reader.end is DownloadEnd.REFUSED and self._reads < self._MOST_READS:
                 return self._pause(self._read, now)
+            # Where the new list may be in force already, a long silence is not the last word.
+            if (
+                reader.end is DownloadEnd.SILENT
+                and not self.old_counts
+                and self._reads < self._MOST_SILENT_READS
+            ):
+                return self._read(now)
             why = "" if reader.result is None else ": " + mission_result(reader.result)
             code, error = self._failure or (UploadCode.UNVERIFIED, "all items were sent")
             self._finish(code, f"{error}; what the autopilot holds now could not be read back{why}")

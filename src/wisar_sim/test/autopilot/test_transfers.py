@@ -224,6 +224,24 @@ def test_a_lost_last_acknowledgement_is_resolved_by_reading_back(profile):
 
 
 @ALL
+def test_a_long_silence_at_the_read_back_is_not_the_last_word(profile):
+    setup = Setup(profile)
+    original = setup.server.handle
+    silent_until = None
+
+    def silent_for_a_while(message, client, now):
+        nonlocal silent_until
+        if silent_until is None and message.get_type() == "MISSION_REQUEST_LIST":
+            silent_until = now + 60.0
+        if silent_until is not None and now < silent_until:
+            return []
+        return original(message, client, now)
+
+    setup.server.handle = silent_for_a_while
+    assert setup.upload(mission(), kinds=[MissionKind.MISSION]).verified
+
+
+@ALL
 def test_an_acknowledgement_proves_nothing(profile):
     setup = Setup(profile)
     original = setup.server._replace
