@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from wisar_planner.evaluation.palette import looks
 from wisar_planner.training.records import Validation, read_counters
@@ -108,6 +109,9 @@ def draw(curves: Sequence[TrainingCurve]) -> Figure:
                     label=policy if i == 0 else None,
                 )
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(label)
         axes.grid(alpha=0.3)
         for side in ("top", "right"):
