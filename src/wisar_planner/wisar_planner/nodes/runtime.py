@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -52,10 +53,10 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
         node = factory()
     except _USER_MISTAKES as error:
         print(f"{factory.__name__}: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
+        _shut_down()
         return 2
     except KeyboardInterrupt:
-        rclpy.try_shutdown()
+        _shut_down()
         return 0
     except Exception:
         if rclpy.ok():
@@ -76,5 +77,11 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
             cast(Closeable, node).close()
         executor.shutdown(timeout_sec=2.0)
         node.destroy_node()
-        rclpy.try_shutdown()
+        _shut_down()
     return 0
+
+
+def _shut_down() -> None:
+    """Shut ROS down, unless the handler of a signal, which runs beside, is ahead."""
+    with contextlib.suppress(RuntimeError):
+        rclpy.try_shutdown()
