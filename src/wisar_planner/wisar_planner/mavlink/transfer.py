@@ -133,6 +133,9 @@ class ListTransfer:
     _MOST_REFUSALS = 5
     _MOST_READS = 10
     _MOST_SILENT_READS = 4
+    # How long after the first read-back a silent one is still repeated: on a link where each takes
+    # many minutes the operator is told instead.
+    _READING_PATIENCE_S = 600.0
     _PAUSE_S = 1.0
     _LONGEST_PAUSE_S = 3.0
 
@@ -160,6 +163,7 @@ class ListTransfer:
         self._wire_count = 0
         self._careful = False
         self._reads = 0
+        self._reading_since = NEVER
         self._differed = False
         self._failure: tuple[UploadCode, str] | None = None
         self.attempts = 0
@@ -222,6 +226,8 @@ class ListTransfer:
         self._on_progress(self._phase.value, self.items_sent, read, self.attempts)
 
     def _read(self, now: float) -> list[Message]:
+        if self._reads == 0:
+            self._reading_since = now
         self._reads += 1
         self._phase = _Phase.READING
         self._reader = Download(
@@ -325,6 +331,7 @@ class ListTransfer:
                 reader.end is DownloadEnd.SILENT
                 and not self.old_counts
                 and self._reads < self._MOST_SILENT_READS
+                and now - self._reading_since < self._READING_PATIENCE_S
             ):
                 return self._read(now)
             why = "" if reader.result is None else ": " + mission_result(reader.result)
