@@ -33,14 +33,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table and write what was asked for."""
-    from wisar_planner.errors import InvalidInput
+    from wisar_planner.cli.training_needs import require
 
-    try:
-        import torch  # noqa: F401
-    except ImportError:
-        raise InvalidInput(
-            "curves come from trainings, which need PyTorch: run `make train-setup` first"
-        ) from None
+    require("curves of trainings need PyTorch", "torch")
     from wisar_planner.evaluation.training_curves import draw, markdown, read_curve
 
     curves = [read_curve(folder) for folder in args.runs]

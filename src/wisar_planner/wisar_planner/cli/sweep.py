@@ -78,27 +78,16 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep and write what was asked for."""
-    from wisar_planner.errors import InvalidInput
+    from wisar_planner.cli.training_needs import checked_device, require
 
-    try:
-        import statsmodels  # type: ignore[import-untyped]  # noqa: F401
-        import torch
-    except ImportError:
-        raise InvalidInput(
-            "a sweep needs PyTorch and statsmodels, which planning does not: "
-            "run `make train-setup` first"
-        ) from None
+    require("a sweep needs PyTorch and statsmodels", "torch", "statsmodels")
     from wisar_planner.evaluation.sweep import Sweep
     from wisar_planner.evaluation.sweep_report import markdown, save_figures
     from wisar_planner.evaluation.sweep_statistics import summarise
     from wisar_planner.evaluation.sweep_store import SweepStore
     from wisar_planner.training.paper.config import read_paper_config
 
-    try:
-        torch.zeros(1, device=args.device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise InvalidInput(f"--device {args.device} is not to be had here: {reason}") from None
+    checked_device(args.device)
     given = {
         "layers": args.layers,
         "width": args.width,

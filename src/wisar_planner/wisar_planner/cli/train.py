@@ -60,14 +60,11 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, from the start or on from the folder's checkpoint."""
-    from wisar_planner.errors import InvalidInput
+    from wisar_planner.cli.training_needs import checked_device, require
 
-    try:
-        import torch
-    except ImportError:
-        raise InvalidInput(
-            "training needs PyTorch, which planning does not: run `make train-setup` first"
-        ) from None
+    require("training needs PyTorch", "torch")
+    import torch
+
     from wisar_planner.training.paper.config import PaperConfig, read_any_config
     from wisar_planner.training.paper.run import PaperRun
     from wisar_planner.training.records import has_checkpoint
@@ -77,12 +74,7 @@ def run(args: argparse.Namespace) -> int:
     config = read_any_config(args.config, **{k: v for k, v in given.items() if v is not None})
     if args.threads:
         torch.set_num_threads(args.threads)
-    try:
-        device = torch.device(args.device)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise InvalidInput(f"--device {args.device} is not to be had here: {reason}") from None
+    device = checked_device(args.device)
     folder = args.out or Path("out/train") / f"{config.name}-{config.seed}"
     training: TrainingRun | PaperRun
     if isinstance(config, PaperConfig):
