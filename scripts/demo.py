@@ -303,6 +303,11 @@ def last_screen(summary: dict[str, Any]) -> Panel:
         f"planned in {plan['planning_time_s']:.2f} s",
     )
     table.add_row(
+        "On the map",
+        f"e_p {plan['probability_efficiency_on_the_map_file']:.3f} on the cells of the map file, "
+        "as in the picture; the planner knows the map by its Gaussian mixture",
+    )
+    table.add_row(
         "Flight",
         f"e_p {flight['probability_efficiency']:.3f} seen after "
         f"{flight['duration_min']:.0f} min of simulated flight",

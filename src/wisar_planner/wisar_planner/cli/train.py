@@ -1,4 +1,4 @@
-"""`wisar train`: train a search policy."""
+"""`wisar train`: train a search policy, or improve a trained one."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wisar_planner.training.paper.run import PaperRun
+    from wisar_planner.training.algorithms import Run
     from wisar_planner.training.records import Validation
-    from wisar_planner.training.run import TrainingRun
 
 _EXAMPLES = """\
 examples:
   wisar train config/sac.yaml --out out/sac
-      the shipped policy; Ctrl-C and the same command again continues where it stopped
+      a policy by soft actor-critic; Ctrl-C and the same command again continues where it stopped
+  wisar train config/improvement.yaml --start out/sac/sac.safetensors --out out/improved
+      a trained policy made better by policy iteration, as the shipped one was
   wisar train config/sac.yaml --seed 1 --steps 100000 --out out/quick --threads 1
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
@@ -36,8 +37,9 @@ def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "train",
-        help="train a search policy by soft actor-critic",
-        description="Train a search policy by soft actor-critic.",
+        help="train a search policy, or improve a trained one",
+        description="Train a search policy by soft actor-critic, or improve a trained one by "
+        "policy iteration, as the configuration says.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -49,6 +51,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--steps", type=int, metavar="N", help="steps instead of the file's")
     parser.add_argument(
         "--ablation", metavar="NAME", help="part to leave out, e.g. mlp or no_step_gain"
+    )
+    parser.add_argument(
+        "--start", metavar="MODEL", help="policy to improve (config/improvement.yaml)"
     )
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument(
@@ -65,22 +70,17 @@ def run(args: argparse.Namespace) -> int:
     require("training needs PyTorch", "torch")
     import torch
 
-    from wisar_planner.training.paper.config import PaperConfig, read_any_config
-    from wisar_planner.training.paper.run import PaperRun
+    from wisar_planner.training.algorithms import make_run, read_any_config
     from wisar_planner.training.records import has_checkpoint
-    from wisar_planner.training.run import TrainingRun
 
-    given = {"seed": args.seed, "steps": args.steps, "ablation": args.ablation}
+    names = ("seed", "steps", "ablation", "start")
+    given = {name: getattr(args, name) for name in names}
     config = read_any_config(args.config, **{k: v for k, v in given.items() if v is not None})
     if args.threads:
         torch.set_num_threads(args.threads)
     device = checked_device(args.device)
     folder = args.out or Path("out/train") / f"{config.name}-{config.seed}"
-    training: TrainingRun | PaperRun
-    if isinstance(config, PaperConfig):
-        training = PaperRun(config, folder, device)
-    else:
-        training = TrainingRun(config, folder, device)
+    training = make_run(config, folder, device)
     if has_checkpoint(folder):
         training.load_checkpoint()
         print(f"continuing {folder} at {training.steps:,} of {config.steps:,} steps")
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(training: TrainingRun | PaperRun) -> None:
+def _follow(training: Run) -> None:
     """Train with a progress bar and a line for each validation."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

@@ -7,9 +7,10 @@ import yaml
 
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training.algorithms import read_any_config
 from wisar_planner.training.config import TrainingConfig
 from wisar_planner.training.paper import throughput
-from wisar_planner.training.paper.config import PaperConfig, read_any_config, read_paper_config
+from wisar_planner.training.paper.config import PaperConfig, read_paper_config
 from wisar_planner.training.paper.run import PaperRun
 
 CONFIG = Path(__file__).resolve().parents[5] / "config"
@@ -63,7 +64,7 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algorithm": "ppo"}, "algorithm must be paper_sac"),
+        ({"algorithm": "ppo"}, "algorithm must be improvement or paper_sac"),
         ({"speed": 3}, "unknown field speed"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"seed": -1}, "seed must be at least 0"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import TrainingConfig, build, read_yaml
+from wisar_planner.training.config import build, read_yaml
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
@@ -87,8 +87,8 @@ class PaperConfig:
             raise InvalidInput(f"learning_starts must not be negative, not {self.learning_starts}")
 
 
-def read_any_config(path: Path, **overrides: Any) -> TrainingConfig | PaperConfig:
-    """Return the configuration in a YAML file, of the algorithm that the file names.
+def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:
+    """Return the configuration in a YAML file of the paper's policy.
 
     Parameters
     ----------
@@ -100,31 +100,11 @@ def read_any_config(path: Path, **overrides: Any) -> TrainingConfig | PaperConfi
     Raises
     ------
     InvalidInput
-        When the file cannot be read, names an unknown algorithm or field, or a value cannot be
-        right.
+        When the file cannot be read, is for another algorithm, names an unknown field, or a value
+        cannot be right.
     """
     content = {**read_yaml(path), **overrides}
-    if "algorithm" not in content:
-        config: TrainingConfig = build(TrainingConfig, content, str(path))
-        return config
-    if content["algorithm"] != ALGORITHM:
-        raise InvalidInput(
-            f"{path}: algorithm must be {ALGORITHM}, or left out for the shipped policy's, "
-            f"not {content['algorithm']!r}"
-        )
-    paper: PaperConfig = build(PaperConfig, content, str(path))
-    return paper
-
-
-def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:
-    """Return the configuration in a YAML file of the paper's policy.
-
-    Raises
-    ------
-    InvalidInput
-        As `read_any_config`, and when the file is for another algorithm.
-    """
-    config = read_any_config(path, **overrides)
-    if not isinstance(config, PaperConfig):
+    if content.get("algorithm") != ALGORITHM:
         raise InvalidInput(f"{path} must have `algorithm: {ALGORITHM}`, see config/paper_sac.yaml")
+    config: PaperConfig = build(PaperConfig, content, str(path))
     return config

@@ -1,0 +1,78 @@
+"""The algorithms that `wisar train` knows: their configurations and their runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.training.config import TrainingConfig, build, read_yaml
+from wisar_planner.training.improvement import config as improvement
+from wisar_planner.training.improvement.config import ImprovementConfig
+from wisar_planner.training.improvement.run import ImprovementRun
+from wisar_planner.training.paper import config as paper
+from wisar_planner.training.paper.config import PaperConfig
+from wisar_planner.training.paper.run import PaperRun
+from wisar_planner.training.run import TrainingRun
+
+Config = TrainingConfig | ImprovementConfig | PaperConfig
+Run = TrainingRun | ImprovementRun | PaperRun
+
+_CONFIGS: dict[str, type[ImprovementConfig] | type[PaperConfig]] = {
+    improvement.ALGORITHM: ImprovementConfig,
+    paper.ALGORITHM: PaperConfig,
+}
+
+
+def read_any_config(path: Path, **overrides: Any) -> Config:
+    """Return the configuration in a YAML file, of the algorithm that the file names.
+
+    Parameters
+    ----------
+    path : Path
+        The file; fields that it does not name keep their defaults. Without the field `algorithm`
+        it is for `training.run`.
+    **overrides
+        Fields that replace those of the file.
+
+    Raises
+    ------
+    InvalidInput
+        When the file cannot be read, names an unknown algorithm or field, or a value cannot be
+        right.
+    """
+    content = {**read_yaml(path), **overrides}
+    if "algorithm" in content and content["algorithm"] not in _CONFIGS:
+        raise InvalidInput(
+            f"{path}: algorithm must be {' or '.join(_CONFIGS)}, or left out for soft "
+            f"actor-critic, not {content['algorithm']!r}"
+        )
+    kind = _CONFIGS[content["algorithm"]] if "algorithm" in content else TrainingConfig
+    config: Config = build(kind, content, str(path))
+    return config
+
+
+def make_run(config: Config, folder: Path, device: torch.device) -> Run:
+    """Return the run of a configuration, at its beginning.
+
+    Parameters
+    ----------
+    config
+        What to train.
+    folder : Path
+        Where the run keeps its checkpoint, its log and its best model.
+    device : torch.device
+        Where to compute.
+
+    Raises
+    ------
+    InvalidInput
+        When a policy that the configuration starts from cannot be loaded.
+    """
+    if isinstance(config, PaperConfig):
+        return PaperRun(config, folder, device)
+    if isinstance(config, ImprovementConfig):
+        return ImprovementRun(config, folder, device)
+    return TrainingRun(config, folder, device)

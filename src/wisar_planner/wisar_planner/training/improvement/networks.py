@@ -1,0 +1,85 @@
+"""The networks of an improvement, all of them ring networks, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from wisar_planner.policy.heading import actor_distribution, value_at
+from wisar_planner.policy.network import MIRROR, forward, initial_parameters, symmetric_forward
+from wisar_planner.policy.observation import Observation
+
+Networks = dict[str, Tensor]
+#: From what searches show to their turns in units of pi.
+Policy = Callable[[Observation], Tensor]
+
+# Values are tens of steps over the most probable ground, outputs of networks are near one.
+_VALUE_SCALE = 10.0
+# Turns that may replace the policy's own, as deviations to either side, degrees.
+_FAN = (8.0, 14.0, 20.0, 27.0, 35.0, 45.0, 60.0, 90.0)
+
+
+def make_networks(
+    rng: np.random.Generator, *, networks: int, channels: int, blocks: int, device: torch.device
+) -> Networks:
+    """Return random networks side by side with one output per direction."""
+    made = initial_parameters(rng, networks=networks, outputs=1, channels=channels, blocks=blocks)
+    return {k: torch.tensor(v, device=device, requires_grad=True) for k, v in made.items()}
+
+
+def likeliest_turn(actor: Mapping[str, Tensor], shown: Observation) -> Tensor:
+    """Return the policy's turns, (B,), as planners fly them."""
+    return torch.tanh(actor_distribution(symmetric_forward(actor, *shown)[0])[0])
+
+
+def state_value(value: Mapping[str, Tensor], shown: Observation) -> Tensor:
+    """Return what the policy will gain from here on, (B,), in steps over the reference density."""
+    result: Tensor = _VALUE_SCALE * forward(value, *shown)[0, 0].mean(dim=-1)
+    return result
+
+
+def corrected_turn(
+    actor: Mapping[str, Tensor], critics: Mapping[str, Tensor], shown: Observation, margin: float
+) -> Tensor:
+    """Return the policy's turns, (B,), where the critics' mean does not prefer another by `margin`.
+
+    Only turns some way off the policy's own are compared: nearby ones differ by chance.
+    """
+    own = likeliest_turn(actor, shown)
+    values = symmetric_forward(critics, *shown)[:, 0].mean(dim=0)
+    fan = torch.tensor([0.0, *(s * f for f in _FAN for s in (1.0, -1.0))], device=own.device)
+    turns = wrapped(own[:, None] + fan / 180.0)
+    advantage = value_at(values, turns)
+    advantage = advantage - advantage[:, :1]
+    best, which = advantage.max(dim=1)
+    other = turns.gather(1, which[:, None])[:, 0]
+    return torch.where(best > margin, other, own)
+
+
+def wrapped(turn: Tensor) -> Tensor:
+    """Return turns in units of pi as their equals from -1 to below 1."""
+    return (turn + 1.0) % 2.0 - 1.0
+
+
+def mirrored(view: Tensor, turns: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
+    """Mirror the views and turns of some searches, given by a mask, left to right."""
+    order = torch.as_tensor(MIRROR, device=view.device)
+    flipped = torch.where(which[:, None, None], view[:, order], view)
+    sign = torch.where(which, -1.0, 1.0).reshape(-1, *(1,) * (turns.dim() - 1))
+    return flipped, sign * turns
+
+
+def optimizer_of(networks: Networks, rate: float) -> torch.optim.Optimizer:
+    """Return Adam for networks."""
+    return torch.optim.Adam(networks.values(), lr=rate, fused=True)
+
+
+def learn(optimizer: torch.optim.Optimizer, loss: Tensor, rate: float, done: float) -> None:
+    """Make one update; the rate falls linearly to 3% as the share done goes to 1."""
+    optimizer.param_groups[0]["lr"] = rate * max(1.0 - done, 0.03)
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    optimizer.step()
