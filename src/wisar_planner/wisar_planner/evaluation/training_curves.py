@@ -59,9 +59,14 @@ def read_curve(folder: Path) -> TrainingCurve:
     """
     counters = read_counters(folder)
     config = counters["config"]
-    without = config.get("ablation") or ""
+    # An improvement begins where another training ended: it is a line of its own.
+    parts = [
+        config["name"],
+        "improved" if config.get("algorithm") == "improvement" else "",
+        config.get("ablation", "").replace("_", " "),
+    ]
     return TrainingCurve(
-        policy=f"{config['name']}, {without.replace('_', ' ')}" if without else config["name"],
+        policy=", ".join(filter(None, parts)),
         seed=config["seed"],
         validations=[Validation(**each) for each in counters["validations"]],
     )

@@ -80,13 +80,13 @@ def test_returns_are_the_weighted_mean_of_all_n_step_returns(generator, trace) -
 def test_the_value_learns_what_the_policy_gains(shipped, value, generator) -> None:
     """Searches of at most nine steps: their gains are known after that many."""
     short = WorldDistribution(paper_share=0.0, sides=(10.0, 12.0), budgets=(4, 9))
-    config = ImprovementConfig(environments=32, valued_steps=8_192, worlds=short, batch=32)
+    config = ImprovementConfig(environments=16, valued_steps=4_096, worlds=short, batch=16)
     policy = partial(likeliest_turn, shipped)
     learn_value(config, policy, value, generator, nothing)
-    fresh = SearchEnvironment(128, short, torch.Generator().manual_seed(9))
+    fresh = SearchEnvironment(64, short, torch.Generator().manual_seed(9))
     with torch.no_grad():
         predicted = networks.state_value(value, fresh.observe())
-        gained, alive = torch.zeros(128), torch.ones(128)
+        gained, alive = torch.zeros(64), torch.ones(64)
         for _ in range(9):
             reward, done = fresh.step(policy(fresh.observe()))
             gained, alive = gained + alive * reward, alive * ~done
