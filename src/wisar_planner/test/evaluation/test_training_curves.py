@@ -38,14 +38,19 @@ def test_the_figure_has_a_line_per_run_in_both_views() -> None:
     assert tuple(minutes) == pytest.approx((1.0, 90.0))
 
 
-def test_a_curve_comes_from_the_folder_of_a_run(tmp_path) -> None:
-    counters = {
-        "config": {"name": "sac", "seed": 4, "ablation": "no_step_gain"},
-        "validations": [vars(Validation(10, 1, 2.0, 0.1, 0.3, {}))],
-    }
-    write_checkpoint(tmp_path, {}, counters)
+@pytest.mark.parametrize(
+    ("config", "policy"),
+    [
+        ({"name": "sac", "seed": 4, "ablation": "no_step_gain"}, "sac, no step gain"),
+        ({"name": "sac", "seed": 4, "algorithm": "improvement"}, "sac, improved"),
+        ({"name": "paper_sac", "seed": 4, "algorithm": "paper_sac"}, "paper_sac"),
+    ],
+)
+def test_a_curve_comes_from_the_folder_of_a_run(tmp_path, config, policy) -> None:
+    validation = vars(Validation(10, 1, 2.0, 0.1, 0.3, {}))
+    write_checkpoint(tmp_path, {}, {"config": config, "validations": [validation]})
     read = read_curve(tmp_path)
-    assert (read.policy, read.seed) == ("sac, no step gain", 4)
+    assert (read.policy, read.seed) == (policy, 4)
     assert read.best.share == 0.3
 
 
