@@ -158,7 +158,16 @@ class Lookahead(OptionedPlanner):
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
     ) -> list[Found]:
-        """Return rollouts, all of them or what the time allows; the likeliest kinds come first."""
+        """Return the paths that the search begins with."""
+        return self._rollouts(problem, raster, monitor, until=FIRST_SHARE)
+
+    def _rollouts(
+        self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor, until: float
+    ) -> list[Found]:
+        """Return rollouts, the likeliest kinds first: all, or until a share of the time is spent.
+
+        There is one at least, where any finds a way in the area.
+        """
         blocks, block_cells, targets = _blocks(problem, raster)
         start = raster.to_cells(problem.start)
         tally = np.zeros(PERIODS, np.int64)
@@ -173,7 +182,7 @@ class Lookahead(OptionedPlanner):
             if complete:
                 found.append(Found(path_value(tally, self.early_weight), points))
                 monitor.report(tally[-1] * raster.unit, 0.0)
-            if monitor.stopped() or monitor.spent() > FIRST_SHARE:
+            if monitor.stopped() or monitor.spent() > until:
                 break
         return found
 

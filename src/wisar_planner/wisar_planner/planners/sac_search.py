@@ -28,8 +28,8 @@ class SacSearch(Lookahead):
     """Flights of the trained policy, refined by annealing.
 
     First the policy flies its most likely turns, so that there is a good plan at once, then
-    flights with random turns; where time is left, the greedy rollouts that `Lookahead` starts from
-    join them. The best are refined as there.
+    flights with random turns; the greedy rollouts that `Lookahead` starts from join them. The best
+    are refined as there.
     """
 
     name: ClassVar[str] = "sac_search"
@@ -60,9 +60,11 @@ class SacSearch(Lookahead):
                 monitor.report(probability, 0.0)
             if monitor.stopped() or monitor.spent() > FIRST_SHARE:
                 break
-        if found and (monitor.stopped() or monitor.spent() > FIRST_SHARE):
+        if found and monitor.stopped():
             return found
-        return found + super()._first_paths(problem, raster, monitor)
+        # On a long budget the flights alone take long: the rollouts get their time all the same.
+        until = max(FIRST_SHARE, monitor.spent() + 0.5 * FIRST_SHARE)
+        return found + self._rollouts(problem, raster, monitor, until)
 
     def _valued(self, raster: SearchRaster, path: FloatArray) -> tuple[Found, float]:
         """Return a path in metres with its value on the raster, and the probability it sees."""
