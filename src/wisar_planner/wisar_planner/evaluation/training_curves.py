@@ -9,7 +9,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import (
+    EngFormatter,
+    Formatter,
+    LogLocator,
+    NullFormatter,
+    StrMethodFormatter,
+)
 
 from wisar_planner.evaluation.palette import looks
 from wisar_planner.training.records import Validation, read_counters
@@ -98,24 +104,28 @@ def draw(curves: Sequence[TrainingCurve]) -> Figure:
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     groups = _by_policy(curves)
     styles = looks(list(groups))
-    views: tuple[tuple[str, Callable[[Validation], float]], ...] = (
-        ("steps flown", lambda each: each.steps),
-        ("training time, min", lambda each: each.seconds / 60.0),
+    views: tuple[tuple[str, Callable[[Validation], float], Formatter], ...] = (
+        ("steps flown", lambda each: each.steps, EngFormatter(sep="")),
+        ("training time, min", lambda each: each.seconds / 60.0, StrMethodFormatter("{x:g}")),
     )
-    for axes, (label, along) in zip(figure.subplots(1, 2), views, strict=True):
+    for axes, (label, along, numbers) in zip(figure.subplots(1, 2), views, strict=True):
         for policy, runs in groups.items():
             for i, run in enumerate(runs):
+                # What an improvement begins with has no place on a logarithmic axis.
+                trained = [each for each in run.validations if each.steps > 0]
                 axes.plot(
-                    [along(each) for each in run.validations],
-                    [100.0 * each.share for each in run.validations],
+                    [along(each) for each in trained],
+                    [100.0 * each.share for each in trained],
                     color=styles[policy].colour,
                     linestyle=styles[policy].dash,
                     linewidth=1.3,
+                    marker="o",
+                    markersize=2.5,
                     label=policy if i == 0 else None,
                 )
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+        axes.xaxis.set_major_formatter(numbers)
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(label)
         axes.grid(alpha=0.3)
