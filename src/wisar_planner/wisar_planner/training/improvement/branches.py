@@ -8,7 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.networks import (
@@ -132,4 +131,4 @@ class _Copies(SearchEnvironment):
             self.steps_left.clamp_(min=1.0)
             shown = self.observe()
             turn = policy(shown)
-        return gained + searching * state_value(value, Observation(*shown))
+        return gained + searching * state_value(value, shown)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from wisar_planner.policy.heading import actor_distribution
 from wisar_planner.policy.network import forward
+from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.networks import (
@@ -53,17 +54,17 @@ def imitate(
     environment = SearchEnvironment(config.environments, config.worlds, generator, stagger=True)
     optimizer = optimizer_of(actor, config.imitation_rate)
     flights = max(1, config.imitated_steps // config.environments)
-    states: list[tuple[Tensor, Tensor, Tensor]] = []
+    states = _States(flights * config.environments, generator.device)
     losses = []
     for update in range(config.imitation_updates):
-        while len(states) * config.imitation_updates <= update * flights:
+        while states.count * config.imitation_updates <= update * states.capacity:
             with torch.no_grad():
                 shown = environment.observe()
-                states.append((shown.view.half(), shown.numbers, teacher(shown)))
+                states.add(shown, teacher(shown))
                 environment.step(likeliest_turn(actor, shown))
             on_steps(config.environments)
-        view, numbers, target = _batch(states, config.batch, generator)
-        turn = torch.tanh(actor_distribution(forward(actor, view, numbers)[0])[0])
+        shown, target = states.sample(config.batch, generator)
+        turn = torch.tanh(actor_distribution(forward(actor, *shown)[0])[0])
         deviation = wrapped(turn - target) * (180.0 / config.tolerance)
         loss = torch.log1p(deviation.square()).mean()
         learn(optimizer, loss, config.imitation_rate, update / config.imitation_updates)
@@ -72,15 +73,27 @@ def imitate(
     return float(torch.stack(losses[-max(1, len(losses) // 10) :]).mean())
 
 
-def _batch(
-    states: list[tuple[Tensor, Tensor, Tensor]], size: int, generator: torch.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return random states and their turns, half of them mirrored left to right."""
-    device = generator.device
-    searches = len(states[0][2])
-    place = torch.randint(len(states) * searches, (size,), generator=generator, device=device)
-    flip = torch.rand(size, generator=generator, device=device) < 0.5
-    pairs = [divmod(each, searches) for each in place.tolist()]
-    view, numbers, target = (torch.stack([states[i][k][j] for i, j in pairs]) for k in range(3))
-    view, target = mirrored(view.float(), target, flip)
-    return view, numbers, target
+class _States:
+    """What searches showed, and the teacher's turns there."""
+
+    def __init__(self, capacity: int, device: torch.device) -> None:
+        self.capacity, self.count = capacity, 0
+        shape = (capacity, DIRECTIONS, VIEW_WIDTH)
+        self._view = torch.empty(shape, dtype=torch.float16, device=device)
+        self._numbers = torch.empty(capacity, NUMBERS, device=device)
+        self._turn = torch.empty(capacity, device=device)
+
+    def add(self, shown: Observation, turn: Tensor) -> None:
+        """Keep what all searches show."""
+        place = slice(self.count, self.count + len(turn))
+        self._view[place], self._numbers[place] = shown.view, shown.numbers
+        self._turn[place] = turn
+        self.count += len(turn)
+
+    def sample(self, size: int, generator: torch.Generator) -> tuple[Observation, Tensor]:
+        """Return random states and their turns, half of them mirrored left to right."""
+        device = generator.device
+        some = torch.randint(self.count, (size,), generator=generator, device=device)
+        flip = torch.rand(size, generator=generator, device=device) < 0.5
+        view, turn = mirrored(self._view[some].float(), self._turn[some], flip)
+        return Observation(view, self._numbers[some]), turn

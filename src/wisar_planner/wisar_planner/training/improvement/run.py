@@ -60,15 +60,18 @@ class ImprovementRun:
     def __init__(self, config: ImprovementConfig, folder: Path, device: torch.device) -> None:
         self.config, self.folder, self.device = config, folder, device
         self.generator = training_generator(config.seed, device)
-        self._rng = np.random.default_rng(config.seed)
-        self._start = load_model(find_model(config.start)).card
-        weights = load_model(find_model(config.start)).weights
+        start = load_model(find_model(config.start))
+        self._start = start.card
         self.actor: Networks = {
             name: torch.tensor(value, device=device, requires_grad=True)
-            for name, value in weights.items()
+            for name, value in start.weights.items()
         }
         self._value = make_networks(
-            self._rng, networks=1, channels=config.channels, blocks=config.blocks, device=device
+            np.random.default_rng(config.seed),
+            networks=1,
+            channels=config.channels,
+            blocks=config.blocks,
+            device=device,
         )
         self._labels: Labels | None = None
         self.steps, self.updates, self.seconds = 0, 0, 0.0
@@ -111,11 +114,9 @@ class ImprovementRun:
 
         policy = partial(likeliest_turn, self.actor)
         value_error = learn_value(c, policy, self._value, self.generator, on_steps)
-        fresh = fly_branches(c, policy, self._value, self.generator, on_steps)
-        self._remember(fresh)
-        assert self._labels is not None
+        labels = self._with_earlier(fly_branches(c, policy, self._value, self.generator, on_steps))
         rng = np.random.default_rng([c.seed, len(self.validations)])
-        critics, left = learn_critics(c, self._labels, rng, self.generator, on_update)
+        critics, left = learn_critics(c, labels, rng, self.generator, on_update)
         teacher = self._teacher(critics)
         loss = imitate(c, self.actor, teacher, self.generator, on_steps, on_update)
         return {
@@ -135,11 +136,12 @@ class ImprovementRun:
 
         return teacher
 
-    def _remember(self, fresh: Labels) -> None:
-        """Keep the latest labels."""
+    def _with_earlier(self, fresh: Labels) -> Labels:
+        """Return the latest labels, fresh and earlier ones, and keep them."""
         old = self._labels
         both = fresh if old is None else Labels(*map(torch.cat, zip(old, fresh, strict=True)))
         self._labels = Labels(*(each[-self.config.remembered_labels :] for each in both))
+        return self._labels
 
     def _fly_validation(self, policy: Policy) -> tuple[float, float]:
         maps = self.config.validation_maps
