@@ -160,6 +160,8 @@ def test_a_wrong_plan_is_refused_by_drone_and_bridge(suite, mixture_file) -> Non
     publisher = operator.node.create_publisher(SearchPlan, "plan", LATCHED)
     suite.wait(lambda: publisher.get_subscription_count() >= 3, "drone and bridge")
     good = operator.plan
+    # A reader keeps one plan: a wrong one that comes before the good one was read replaces it.
+    suite.wait(operator.can_upload, "the good plan at the bridge")
     for number, (spoil, reason) in enumerate(WRONG_PLANS.items(), start=1):
         wrong = copy.deepcopy(good)
         spoil(wrong)
