@@ -34,8 +34,7 @@ class ImprovementConfig:
     valued_steps : int
         Steps per round from which the value of states is learned.
     trace : float
-        Share by which the returns of later steps count less in what the value learns, the lambda
-        of TD(lambda).
+        Lambda of TD(lambda), from which the value learns: 0 looks one step ahead, 1 to the end.
     labels : int
         States per round from which branches are flown.
     remembered_labels : int
