@@ -4,9 +4,17 @@ import pytest
 
 pytest.importorskip("torch")
 
+import torch
+
+from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.training_curves import TrainingCurve, draw, markdown, read_curve
+from wisar_planner.training.config import TrainingConfig
+from wisar_planner.training.judging import fly_maps
 from wisar_planner.training.records import Validation, write_checkpoint
+from wisar_planner.training.sac import SacSettings
+from wisar_planner.training.sac_run import SacRun
+from wisar_planner.training.streams import fresh_generator
 
 
 def curve(policy: str, seed: int, *points: tuple[float, float]) -> TrainingCurve:
@@ -63,3 +71,19 @@ def test_a_folder_without_a_run_is_refused(tmp_path) -> None:
     write_checkpoint(tmp_path, {}, {"config": {}, "validations": []})
     with pytest.raises(InvalidInput, match="first validation"):
         read_curve(tmp_path)
+
+
+def test_a_policy_is_judged_on_fresh_maps_from_the_folder_of_its_run(tmp_path, capsys) -> None:
+    config = TrainingConfig(
+        steps=80, environments=4, warm_up_steps=32, updates=0.5, batch=8, replay=128, seed=3,
+        validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
+    )  # fmt: skip
+    run = SacRun(config, tmp_path, torch.device("cpu"))
+    list(run.train())
+    policy = fly_maps(lambda shown: run.sac.act(shown, None), 3, fresh_generator(run.device))
+    assert main(["curves", str(tmp_path), "--fresh-maps", "3"]) == 0
+    title, _, row = capsys.readouterr().out.splitlines()
+    assert title.endswith("on fresh maps |")
+    assert row.endswith(f"| {100.0 * float(policy.share.mean()):.1f}% |")
+    assert main(["curves", str(tmp_path), "--fresh-maps", "0"]) == 2
+    assert "must be at least 1, not 0" in capsys.readouterr().err

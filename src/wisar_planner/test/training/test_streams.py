@@ -4,22 +4,26 @@ import pytest
 import torch
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.streams import check_seed, training_generator, validation_generator
+from wisar_planner.training.streams import (
+    check_seed,
+    fresh_generator,
+    training_generator,
+    validation_generator,
+)
 
 CPU = torch.device("cpu")
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**31 - 1])
-def test_no_training_has_the_stream_of_the_validation(seed) -> None:
-    draws = [
-        torch.rand(64, generator=generator)
-        for generator in (training_generator(seed, CPU), validation_generator(CPU))
-    ]
-    assert not torch.isin(*draws).any()
+def test_training_validation_and_fresh_maps_have_streams_of_their_own(seed) -> None:
+    generators = training_generator(seed, CPU), validation_generator(CPU), fresh_generator(CPU)
+    draws = [torch.rand(64, generator=generator) for generator in generators]
+    assert len(torch.cat(draws).unique()) == 3 * 64
 
 
-def test_validation_is_the_same_each_time() -> None:
-    first, again = (torch.rand(8, generator=validation_generator(CPU)) for _ in range(2))
+@pytest.mark.parametrize("make", [validation_generator, fresh_generator])
+def test_maps_to_judge_on_are_the_same_each_time(make) -> None:
+    first, again = (torch.rand(8, generator=make(CPU)) for _ in range(2))
     assert torch.equal(first, again)
 
 

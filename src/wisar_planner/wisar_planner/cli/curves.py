@@ -13,6 +13,9 @@ examples:
   wisar curves out/train/* --markdown out/curves.md --figure out/curves.png
       all runs, at equal samples and at equal time
 
+  wisar curves out/train/sac-* --fresh-maps 2048
+      judged on maps that chose nothing: neither the weights nor the best validation
+
 Runs of one configuration that differ in the seed are one line of the table."""
 
 
@@ -26,6 +29,12 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a training")
+    parser.add_argument(
+        "--fresh-maps",
+        type=int,
+        metavar="N",
+        help="fly each run's last policy on N maps that neither training nor validation meets",
+    )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the curves, e.g. .png")
     parser.set_defaults(func=run)
@@ -36,9 +45,16 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.cli.training_needs import require
 
     require("curves of trainings need PyTorch", "torch")
-    from wisar_planner.evaluation.training_curves import draw, markdown, read_curve
+    from rich.console import Console
+    from rich.progress import track
+
+    from wisar_planner.evaluation.training_curves import draw, fly_fresh_maps, markdown, read_curve
 
     curves = [read_curve(folder) for folder in args.runs]
+    if args.fresh_maps is not None:
+        both = list(zip(curves, args.runs, strict=True))
+        shown = track(both, "flying", console=Console(stderr=True), transient=True)
+        curves = [fly_fresh_maps(curve, folder, args.fresh_maps) for curve, folder in shown]
     table = markdown(curves)
     print(table, end="")
     for path in (args.markdown, args.figure):

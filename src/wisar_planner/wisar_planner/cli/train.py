@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wisar_planner.training.algorithms import Run
+    from wisar_planner.training.algorithms import AnyRun
     from wisar_planner.training.records import Validation
 
 _EXAMPLES = """\
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(training: Run) -> None:
+def _follow(training: AnyRun) -> None:
     """Train with a progress bar and a line for each validation."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

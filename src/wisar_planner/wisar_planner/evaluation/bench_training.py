@@ -222,8 +222,7 @@ def _share(act: Callable[[Any], Any], maps: int) -> float:
     """Return the mean share of the bound of a policy on maps of the paper's setup."""
     import torch
 
-    from wisar_planner.training.run import fly_validation
-    from wisar_planner.training.worlds import WorldDistribution
+    from wisar_planner.training.judging import fly_maps
+    from wisar_planner.training.streams import validation_generator
 
-    with torch.no_grad():
-        return fly_validation(act, maps, torch.device("cpu"), WorldDistribution())[1]
+    return float(fly_maps(act, maps, validation_generator(torch.device("cpu"))).share.mean())

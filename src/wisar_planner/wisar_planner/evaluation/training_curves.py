@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import (
     EngFormatter,
@@ -17,8 +19,11 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
+from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.palette import looks
+from wisar_planner.training.algorithms import load_run
 from wisar_planner.training.records import Validation, read_counters
+from wisar_planner.training.streams import fresh_generator
 
 #: Mean probability efficiency on the paper's setup that a training is timed to.
 GOAL = 0.28
@@ -36,11 +41,14 @@ class TrainingCurve:
         Its seed.
     validations : sequence of Validation
         In the order of the training; at least one.
+    fresh_share : float, optional
+        Mean share of the bound on fresh maps, where the run's last policy was flown there.
     """
 
     policy: str
     seed: int
     validations: Sequence[Validation]
+    fresh_share: float | None = None
 
     @property
     def best(self) -> Validation:
@@ -78,12 +86,40 @@ def read_curve(folder: Path) -> TrainingCurve:
     )
 
 
-def markdown(curves: Iterable[TrainingCurve]) -> str:
+def fly_fresh_maps(curve: TrainingCurve, folder: Path, maps: int) -> TrainingCurve:
+    """Return the curve of a run with the share of the bound of its last policy on fresh maps.
+
+    Parameters
+    ----------
+    curve : TrainingCurve
+        The run's curve.
+    folder : Path
+        The run's folder.
+    maps : int
+        Number of maps of the paper's setup, the same ones for every run. They chose nothing:
+        neither training nor validation meets them.
+
+    Raises
+    ------
+    InvalidInput
+        When the number of maps is below 1 or the run's checkpoint cannot be read.
+    """
+    if maps < 1:
+        raise InvalidInput(f"the number of fresh maps must be at least 1, not {maps}")
+    device = torch.device("cpu")
+    flights = load_run(folder, device).fly(maps, fresh_generator(device))
+    return dataclasses.replace(curve, fresh_share=float(flights.share.mean()))
+
+
+def markdown(curves: Sequence[TrainingCurve]) -> str:
     """Return a table with a line per policy, the best first; ± is the spread over seeds."""
     lines = [
         f"| policy | seeds | steps | minutes | minutes to e_p {GOAL} | e_p | share of the bound |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
+    flown = all(curve.fresh_share is not None for curve in curves)
+    if flown:
+        lines = [f"{lines[0]} of the last, on fresh maps |", f"{lines[1]} ---: |"]
     groups = _by_policy(curves)
     for policy in sorted(groups, key=lambda name: -_mean(c.best.share for c in groups[name])):
         runs = groups[policy]
@@ -96,6 +132,9 @@ def markdown(curves: Iterable[TrainingCurve]) -> str:
             f"| {_spread([run.best.efficiency for run in runs], '{:.4f}')} "
             f"| {_spread([100.0 * run.best.share for run in runs], '{:.1f}')}% |"
         )
+        if flown:
+            shares = [100.0 * run.fresh_share for run in runs if run.fresh_share is not None]
+            lines[-1] += f" {_spread(shares, '{:.1f}')}% |"
     return "\n".join(lines) + "\n"
 
 

@@ -15,10 +15,12 @@ from wisar_planner.training.improvement.run import ImprovementRun
 from wisar_planner.training.paper import config as paper
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.run import PaperRun
-from wisar_planner.training.run import TrainingRun
+from wisar_planner.training.records import read_counters
+from wisar_planner.training.run import Run
+from wisar_planner.training.sac_run import SacRun
 
 Config = TrainingConfig | ImprovementConfig | PaperConfig
-Run = TrainingRun | ImprovementRun | PaperRun
+AnyRun = Run[TrainingConfig] | Run[ImprovementConfig] | Run[PaperConfig]
 
 _CONFIGS: dict[str, type[ImprovementConfig] | type[PaperConfig]] = {
     improvement.ALGORITHM: ImprovementConfig,
@@ -43,18 +45,21 @@ def read_any_config(path: Path, **overrides: Any) -> Config:
         When the file cannot be read, names an unknown algorithm or field, or a value cannot be
         right.
     """
-    content = {**read_yaml(path), **overrides}
+    return _make_config({**read_yaml(path), **overrides}, str(path))
+
+
+def _make_config(content: dict[str, Any], where: str) -> Config:
     if "algorithm" in content and content["algorithm"] not in _CONFIGS:
         raise InvalidInput(
-            f"{path}: algorithm must be {' or '.join(_CONFIGS)}, or left out for soft "
+            f"{where}: algorithm must be {' or '.join(_CONFIGS)}, or left out for soft "
             f"actor-critic, not {content['algorithm']!r}"
         )
     kind = _CONFIGS[content["algorithm"]] if "algorithm" in content else TrainingConfig
-    config: Config = build(kind, content, str(path))
+    config: Config = build(kind, content, where)
     return config
 
 
-def make_run(config: Config, folder: Path, device: torch.device) -> Run:
+def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
     """Return the run of a configuration, at its beginning.
 
     Parameters
@@ -75,4 +80,18 @@ def make_run(config: Config, folder: Path, device: torch.device) -> Run:
         return PaperRun(config, folder, device)
     if isinstance(config, ImprovementConfig):
         return ImprovementRun(config, folder, device)
-    return TrainingRun(config, folder, device)
+    return SacRun(config, folder, device)
+
+
+def load_run(folder: Path, device: torch.device) -> AnyRun:
+    """Return the run that left a checkpoint in a folder, where it stood then.
+
+    Raises
+    ------
+    InvalidInput
+        When the checkpoint cannot be read, or a policy that the run started from cannot be loaded.
+    """
+    config = _make_config(read_counters(folder)["config"], str(folder))
+    run = make_run(config, folder, device)
+    run.load_checkpoint()
+    return run

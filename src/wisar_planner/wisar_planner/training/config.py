@@ -147,11 +147,6 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
-def as_dict(config: TrainingConfig) -> dict[str, Any]:
-    """Return a configuration as plain values, for a model card or a YAML file."""
-    return dataclasses.asdict(config)
-
-
 def build(kind: type[Any], content: dict[str, Any], where: str) -> Any:
     """Make a dataclass of plain values, which must have the types of its fields."""
     types = typing.get_type_hints(kind)

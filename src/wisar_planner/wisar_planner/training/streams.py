@@ -1,8 +1,9 @@
 """Which random numbers belong to training, and which to validation.
 
 PyTorch's CPU generator keeps the low 32 bits of its seed only. So seeds of trainings stay below
-2^31 and validation has one above: no training can draw the maps that policies are judged on. The
-final evaluation draws its maps with NumPy, from streams of its own (`evaluation.streams`).
+2^31 and validation has one above: no training can draw the maps that policies are judged on. Fresh
+maps, which chose nothing, have another. The final evaluation draws its maps with NumPy, from
+streams of its own (`evaluation.streams`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from wisar_planner.errors import InvalidInput
 
 _SEEDS = 2**31
 _VALIDATION_SEED = 2**31 + 1
+_FRESH_SEED = 2**31 + 2
 
 
 def check_seed(seed: int) -> None:
@@ -30,3 +32,8 @@ def training_generator(seed: int, device: torch.device) -> torch.Generator:
 def validation_generator(device: torch.device) -> torch.Generator:
     """Return a generator that gives the same validation maps each time."""
     return torch.Generator(device=device).manual_seed(_VALIDATION_SEED)
+
+
+def fresh_generator(device: torch.device) -> torch.Generator:
+    """Return a generator that gives maps that neither training nor validation meets."""
+    return torch.Generator(device=device).manual_seed(_FRESH_SEED)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
 
 from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.policy.observation import Observation
@@ -28,28 +25,17 @@ from wisar_planner.training.improvement.networks import (
     make_networks,
 )
 from wisar_planner.training.improvement.value import learn_value
-from wisar_planner.training.records import (
-    Validation,
-    card_of,
-    read_checkpoint,
-    write_checkpoint,
-)
-from wisar_planner.training.run import fly_validation
-from wisar_planner.training.streams import training_generator
-from wisar_planner.training.worlds import WorldDistribution
+from wisar_planner.training.judging import Flights, fly_maps
+from wisar_planner.training.records import Validation, card_of
+from wisar_planner.training.run import OnProgress, Run
+from wisar_planner.training.streams import validation_generator
 
 
-class ImprovementRun:
-    """One run, in a folder of its own.
+class ImprovementRun(Run[ImprovementConfig]):
+    """A run of policy iteration; see `Run`.
 
-    Parameters
-    ----------
-    config : ImprovementConfig
-        What to improve, and how.
-    folder : Path
-        Where the run keeps its checkpoint, its log and its best model.
-    device : torch.device
-        Where to compute; the CPU gives the same result for the same seed.
+    It is validated before the first round, too. Environments begin anew with each round, so that a
+    checkpoint needs none.
 
     Raises
     ------
@@ -57,9 +43,10 @@ class ImprovementRun:
         When the policy to improve cannot be loaded.
     """
 
-    def __init__(self, config: ImprovementConfig, folder: Path, device: torch.device) -> None:
-        self.config, self.folder, self.device = config, folder, device
-        self.generator = training_generator(config.seed, device)
+    def __init__(
+        self, config: ImprovementConfig, folder: Path | None, device: torch.device
+    ) -> None:
+        super().__init__(config, folder, device)
         start = load_model(find_model(config.start))
         self._start = start.card
         self.actor: Networks = {
@@ -74,35 +61,14 @@ class ImprovementRun:
             device=device,
         )
         self._labels: Labels | None = None
-        self.steps, self.updates, self.seconds = 0, 0, 0.0
-        self.best_share = 0.0
-        self.validations: list[Validation] = []
 
-    def train(self, on_progress: Callable[[int, int], None] | None = None) -> Iterator[Validation]:
-        """Improve to the last round, or on from where a checkpoint was.
+    def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
+        if not self.validations:
+            yield {}
+        while len(self.validations) <= self.config.rounds:
+            yield self._round(on_progress)
 
-        Parameters
-        ----------
-        on_progress : callable, optional
-            Told steps and updates as they grow.
-
-        Yields
-        ------
-        Validation
-            Of the policy before the first round and after each; the checkpoint and, when it is
-            the best so far, the model are written by then.
-        """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with SummaryWriter(str(self.folder), purge_step=self.steps) as log:
-            if not self.validations:
-                yield self._validated(log, {})
-            while len(self.validations) <= self.config.rounds:
-                began = time.monotonic()
-                figures = self._round(on_progress or (lambda _steps, _updates: None))
-                self.seconds += time.monotonic() - began
-                yield self._validated(log, figures)
-
-    def _round(self, on_progress: Callable[[int, int], None]) -> dict[str, float]:
+    def _round(self, on_progress: OnProgress) -> dict[str, float]:
         c = self.config
 
         def on_steps(count: int) -> None:
@@ -123,7 +89,7 @@ class ImprovementRun:
             "value_error": value_error,
             "critics_leave": left,
             "imitation_loss": loss,
-            "teacher": self._fly_validation(teacher)[1],
+            "teacher": self._share_of(teacher),
         }
 
     def _teacher(self, critics: Networks) -> Policy:
@@ -143,75 +109,40 @@ class ImprovementRun:
         self._labels = Labels(*(each[-self.config.remembered_labels :] for each in both))
         return self._labels
 
-    def _fly_validation(self, policy: Policy) -> tuple[float, float]:
+    def _share_of(self, policy: Policy) -> float:
+        """Return the share of the bound of a policy on the validation maps."""
         maps = self.config.validation_maps
-        return fly_validation(policy, maps, self.device, WorldDistribution())
+        return float(fly_maps(policy, maps, validation_generator(self.device)).share.mean())
 
-    def _validated(self, log: SummaryWriter, figures: dict[str, float]) -> Validation:
-        efficiency, share = self._fly_validation(partial(likeliest_turn, self.actor))
-        result = Validation(self.steps, self.updates, self.seconds, efficiency, share, figures)
-        self.validations.append(result)
-        result.log(log)
-        better, self.best_share = share > self.best_share, max(share, self.best_share)
-        if better:
-            weights = {name: value.detach().cpu().numpy() for name, value in self.actor.items()}
-            save_model(self.folder / f"{self.config.name}.safetensors", weights, self._card(result))
-        self.save_checkpoint()
-        return result
+    def fly(self, maps: int, generator: torch.Generator) -> Flights:
+        """Fly the present policy; see `Run.fly`."""
+        return fly_maps(partial(likeliest_turn, self.actor), maps, generator)
 
-    def _card(self, validation: Validation) -> dict[str, Any]:
-        config = dataclasses.asdict(self.config)
+    def _save_model(self, path: Path, result: Validation) -> None:
+        weights = {name: value.detach().cpu().numpy() for name, value in self.actor.items()}
         start = {
             name: self._start[name]
             for name in ("algorithm", "config", "training", "start", "weights_sha256")
             if name in self._start
         }
-        return {
+        card = {
             "what": "search policy, a squashed Gaussian over the next turn; see docs/policy.md",
-            **card_of(config, validation, self.config.validation_maps, self.device),
+            **card_of(self.plain_config(), result, self.config.validation_maps, self.device),
             "algorithm": "policy iteration from a policy trained by soft actor-critic (start)",
             "start": start,
         }
-
-    # Checkpoints; environments begin anew with each round.
-
-    def save_checkpoint(self) -> None:
-        """Write all that the run needs to go on as if it had not stopped."""
-        counters = {
-            "steps": self.steps,
-            "updates": self.updates,
-            "seconds": self.seconds,
-            "best_share": self.best_share,
-            "config": dataclasses.asdict(self.config),
-            "validations": [vars(each) for each in self.validations],
-        }
-        write_checkpoint(self.folder, self._tensors(), counters)
-
-    def load_checkpoint(self) -> None:
-        """Go on from the folder's checkpoint.
-
-        Raises
-        ------
-        InvalidInput
-            When it cannot be read or belongs to another configuration.
-        """
-        config = dataclasses.asdict(self.config)
-        stored, counters = read_checkpoint(self.folder, config, self.device)
-        with torch.no_grad():
-            for owner, networks in (("actor", self.actor), ("value", self._value)):
-                for name, tensor in networks.items():
-                    tensor.copy_(stored[f"{owner}.{name}"])
-        if "labels.turns" in stored:
-            self._labels = Labels(*(stored[f"labels.{name}"] for name in Labels._fields))
-        self.generator.set_state(stored["generator"].cpu())
-        self.steps, self.updates = counters["steps"], counters["updates"]
-        self.seconds, self.best_share = counters["seconds"], counters["best_share"]
-        self.validations = [Validation(**each) for each in counters["validations"]]
+        save_model(path, weights, card)
 
     def _tensors(self) -> dict[str, Tensor]:
-        found = {"generator": self.generator.get_state()}
-        found |= {f"actor.{name}": each.detach() for name, each in self.actor.items()}
+        found = {f"actor.{name}": each.detach() for name, each in self.actor.items()}
         found |= {f"value.{name}": each.detach() for name, each in self._value.items()}
         if self._labels is not None:
             found |= {f"labels.{name}": each for name, each in self._labels._asdict().items()}
         return found
+
+    def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
+        for owner, networks in (("actor", self.actor), ("value", self._value)):
+            for name, tensor in networks.items():
+                tensor.copy_(stored[f"{owner}.{name}"])
+        if "labels.turns" in stored:
+            self._labels = Labels(*(stored[f"labels.{name}"] for name in Labels._fields))

@@ -8,8 +8,8 @@ import torch
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import load_model
 from wisar_planner.training.config import TrainingConfig, read_config
-from wisar_planner.training.run import TrainingRun
 from wisar_planner.training.sac import SacSettings
+from wisar_planner.training.sac_run import SacRun
 from wisar_planner.training.worlds import WorldDistribution
 
 CPU = torch.device("cpu")
@@ -22,10 +22,10 @@ TINY = TrainingConfig(
 
 def weights_after(config, folder, *, stop_after=None):
     """Train, stop after some validations and go on from the checkpoint; return the weights."""
-    run = TrainingRun(config, folder, CPU)
+    run = SacRun(config, folder, CPU)
     for count, _ in enumerate(run.train(), start=1):
         if count == stop_after:
-            run = TrainingRun(config, folder, CPU)
+            run = SacRun(config, folder, CPU)
             run.load_checkpoint()
             assert run.steps == config.validation_every
             for _ in run.train():
@@ -49,7 +49,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path) -> None:
 
 
 def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
-    run = TrainingRun(TINY, tmp_path, CPU)
+    run = SacRun(TINY, tmp_path, CPU)
     results = list(run.train())
     model = load_model(tmp_path / "tiny.safetensors")
     assert [each.steps for each in results] == [80, 160]
@@ -59,7 +59,7 @@ def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
 
 
 def test_an_ablation_learns_but_is_not_kept_as_a_model(tmp_path) -> None:
-    run = TrainingRun(dataclasses.replace(TINY, ablation="mlp"), tmp_path, CPU)
+    run = SacRun(dataclasses.replace(TINY, ablation="mlp"), tmp_path, CPU)
     assert [each.updates for each in run.train()] == [9, 24]
     assert not list(tmp_path.glob("tiny*"))
 
@@ -67,10 +67,10 @@ def test_an_ablation_learns_but_is_not_kept_as_a_model(tmp_path) -> None:
 def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path) -> None:
     weights_after(TINY, tmp_path)
     with pytest.raises(InvalidInput, match="another configuration"):
-        TrainingRun(dataclasses.replace(TINY, batch=16), tmp_path, CPU).load_checkpoint()
+        SacRun(dataclasses.replace(TINY, batch=16), tmp_path, CPU).load_checkpoint()
     (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
     with pytest.raises(InvalidInput, match="cannot be read"):
-        TrainingRun(TINY, tmp_path, CPU).load_checkpoint()
+        SacRun(TINY, tmp_path, CPU).load_checkpoint()
 
 
 @pytest.mark.parametrize(

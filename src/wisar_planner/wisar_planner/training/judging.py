@@ -1,0 +1,69 @@
+"""How good a policy is: its flights on maps that no training meets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from wisar_planner.policy.observation import Observation
+from wisar_planner.training.ablation import make_environment
+from wisar_planner.training.worlds import WorldDistribution
+
+
+class Flights(NamedTuple):
+    """What a policy saw on n maps.
+
+    Attributes
+    ----------
+    efficiency : (n,)
+        Probability efficiency e_p of each flight.
+    share : (n,)
+        The same as a share of the bound, the most probable ground that fits into the swath.
+    figures : dict of str to float
+        What else there is to tell.
+    """
+
+    efficiency: Tensor
+    share: Tensor
+    figures: dict[str, float]
+
+
+@torch.no_grad()
+def fly_maps(
+    act: Callable[[Observation], Tensor],
+    maps: int,
+    generator: torch.Generator,
+    worlds: WorldDistribution | None = None,
+    ablation: str = "",
+) -> Flights:
+    """Fly a policy once on each of some random maps.
+
+    Parameters
+    ----------
+    act : callable
+        From what searches show to their turns, see `SearchEnvironment.step`.
+    maps : int
+        Number of maps.
+    generator : torch.Generator
+        Source of the maps, on the device where to compute.
+    worlds : WorldDistribution, optional
+        What the maps look like; the paper's setup unless given.
+    ablation : str
+        The policy's ablation.
+    """
+    environment = make_environment(ablation, maps, worlds or WorldDistribution(), generator)
+    unseen, steps = environment.unseen, environment.steps.clone()
+    in_area = environment.in_area.clone()
+    step_area = (2.0 * unseen.radius * unseen.step).clone()
+    swept = step_area * steps + math.pi * unseen.radius.square()
+    seen = environment.seen.clone()
+    searching = torch.ones_like(seen)
+    for _ in range(int(steps.max())):
+        reward, done = environment.step(act(environment.observe()))
+        seen += searching * reward * step_area
+        searching = searching * ~done
+    return Flights(seen / in_area, seen / swept, {})
