@@ -107,20 +107,6 @@ def spread_rings(parameters: Parameters) -> dict[str, Array]:
     }
 
 
-def symmetric_forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
-    """Return the outputs averaged with those for the mirror image, mirrored back.
-
-    What is best to the left is best to the right in the mirrored world. A trained network obeys
-    that in part only; averaging makes it exact, and the policy better. Arguments and result are
-    those of `forward`.
-    """
-    xp = array_namespace(view)
-    batch = view.shape[0]
-    both = xp.concat([view, view[:, MIRROR, :]], axis=0)
-    output = forward(parameters, both, xp.concat([numbers, numbers], axis=0))
-    return 0.5 * (output[:, :, :batch] + output[:, :, batch:, MIRROR])
-
-
 def _matrices(ring: Array) -> Array:
     """Return ring kernels, (networks, channels, DIRECTIONS), as matrices; matrices as they are."""
     if ring.ndim == 4:

@@ -14,7 +14,7 @@ from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
 from wisar_planner.policy.heading import actor_distribution
 from wisar_planner.policy.model import Weights
-from wisar_planner.policy.network import spread_rings, symmetric_forward
+from wisar_planner.policy.network import forward, spread_rings
 from wisar_planner.policy.observation import (
     cells_per_step,
     observe,
@@ -156,7 +156,7 @@ def fly(
     for flown in range(problem.steps):
         left = np.full(count, problem.steps - flown, dtype=np.float32)
         shown = observe(unseen, cells(position), heading.astype(np.float32), left)
-        mean, log_std = actor_distribution(symmetric_forward(weights, *shown)[0])
+        mean, log_std = actor_distribution(forward(weights, *shown)[0])
         if rng is not None:
             mean = mean + np.exp(log_std) * rng.standard_normal(count)
         heading = heading + math.pi * np.tanh(mean.astype(np.float64))

@@ -35,23 +35,17 @@ _WIDTH = 256
 
 
 class Network(NamedTuple):
-    """How to make a network's parameters, as `network.initial_parameters`, and how to use them.
-
-    The last is for the most likely turns: the outputs averaged with those for the mirror image,
-    but where that is left out.
-    """
+    """How to make a network's parameters, as `network.initial_parameters`, and how to use them."""
 
     initial: Callable[..., dict[str, npt.NDArray[np.float32]]]
     forward: Callable[[Parameters, Tensor, Tensor], Tensor]
-    symmetric_forward: Callable[[Parameters, Tensor, Tensor], Tensor]
 
 
 def make_network(ablation: str) -> Network:
     """Return the network of an ablation: the ring network, but for `mlp`."""
     if ablation == "mlp":
-        return Network(_mlp_parameters, _mlp, _mlp)
-    likeliest = network.forward if ablation == "no_mirror" else network.symmetric_forward
-    return Network(network.initial_parameters, network.forward, likeliest)
+        return Network(_mlp_parameters, _mlp)
+    return Network(network.initial_parameters, network.forward)
 
 
 def make_environment(
@@ -118,7 +112,7 @@ _HIDDEN: dict[str, npt.NDArray[np.bool_]] = {
 }
 
 #: Names of the ablations; "" is the policy itself.
-ABLATIONS = ("", "mlp", "no_mirror", "absolute_heading", *_HIDDEN)
+ABLATIONS = ("", "mlp", "absolute_heading", *_HIDDEN)
 
 
 def check_ablation(name: str) -> None:

@@ -175,8 +175,7 @@ class Sac:
     def act(self, observation: Observation, generator: torch.Generator | None) -> Tensor:
         """Return an action per search, (B,); the most likely ones without a generator."""
         if generator is None:
-            output = self._network.symmetric_forward(self.actor, *observation)[0]
-            return torch.tanh(actor_distribution(output)[0])
+            return torch.tanh(self._policy(observation)[0])
         mean, log_std = self._policy(observation)
         return squashed_gaussian.sample(mean, log_std, mean.shape, generator)[0]
 

@@ -158,9 +158,20 @@ def test_critics_learn_which_turns_are_better(generator) -> None:
     assert left < 0.2
     fresh, brightest = observations(64, generator)
     with torch.no_grad():
-        best = networks.symmetric_forward(critics, *fresh)[:, 0].mean(dim=0).argmax(dim=1)
+        best = networks.mean_value(critics, fresh).argmax(dim=1)
     apart = networks.wrapped((best - brightest) * (2.0 / DIRECTIONS))
     assert float(apart.abs().mean()) < 0.1  # 0.5 by chance
+
+
+def test_critics_value_a_mirrored_turn_in_a_mirrored_view_alike(generator) -> None:
+    rng = np.random.default_rng(0)
+    critics = networks.make_networks(rng, networks=2, channels=8, blocks=1, device=CPU)
+    shown, _ = observations(16, generator)
+    mirror = torch.as_tensor(MIRROR)
+    values = networks.mean_value(critics, shown)
+    again = networks.mean_value(critics, Observation(shown.view[:, mirror], shown.numbers))
+    assert torch.allclose(again, values[:, mirror], atol=1e-5)
+    assert not torch.allclose(again, values, atol=1e-2)
 
 
 def test_the_correction_takes_a_better_turn_and_leaves_what_is_nearly_as_good(
@@ -171,16 +182,13 @@ def test_the_correction_takes_a_better_turn_and_leaves_what_is_nearly_as_good(
         own = likeliest_turn(actor, shown)
     wanted = networks.wrapped(own + 45.0 / 180.0)
 
-    def values(_parameters, view, _numbers):
+    def mean_value(_critics, _shown):
         """Highest at the wanted turn, 0.3 higher than at the policy's own."""
         directions = torch.arange(DIRECTIONS) * (2.0 / DIRECTIONS)
         bump = torch.cos(math.pi * (directions - wanted[:, None]))
-        return (0.3 / (1.0 - math.cos(math.pi / 4.0))) * bump.expand(2, 1, len(view), -1)
+        return (0.3 / (1.0 - math.cos(math.pi / 4.0))) * bump
 
-    forward = networks.symmetric_forward
-    monkeypatch.setattr(
-        networks, "symmetric_forward", lambda p, *o: values(p, *o) if p == {} else forward(p, *o)
-    )
+    monkeypatch.setattr(networks, "mean_value", mean_value)
     with torch.no_grad():
         taken = corrected_turn(actor, {}, shown, margin=0.2)
         kept = corrected_turn(actor, {}, shown, margin=0.4)

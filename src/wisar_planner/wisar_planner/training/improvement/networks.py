@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from wisar_planner.policy.heading import actor_distribution, value_at
-from wisar_planner.policy.network import MIRROR, forward, initial_parameters, symmetric_forward
+from wisar_planner.policy.network import MIRROR, forward, initial_parameters
 from wisar_planner.policy.observation import Observation
 
 Networks = dict[str, Tensor]
@@ -32,7 +32,7 @@ def make_networks(
 
 def likeliest_turn(actor: Mapping[str, Tensor], shown: Observation) -> Tensor:
     """Return the policy's turns, (B,), as planners fly them."""
-    return torch.tanh(actor_distribution(symmetric_forward(actor, *shown)[0])[0])
+    return torch.tanh(actor_distribution(forward(actor, *shown)[0])[0])
 
 
 def state_value(value: Mapping[str, Tensor], shown: Observation) -> Tensor:
@@ -49,7 +49,7 @@ def corrected_turn(
     Only turns some way off the policy's own are compared: nearby ones differ by chance.
     """
     own = likeliest_turn(actor, shown)
-    values = symmetric_forward(critics, *shown)[:, 0].mean(dim=0)
+    values = mean_value(critics, shown)
     fan = torch.tensor([0.0, *(s * f for f in _FAN for s in (1.0, -1.0))], device=own.device)
     turns = wrapped(own[:, None] + fan / 180.0)
     advantage = value_at(values, turns)
@@ -57,6 +57,18 @@ def corrected_turn(
     best, which = advantage.max(dim=1)
     other = turns.gather(1, which[:, None])[:, 0]
     return torch.where(best > margin, other, own)
+
+
+def mean_value(critics: Mapping[str, Tensor], shown: Observation) -> Tensor:
+    """Return the critics' mean value of each direction, (B, DIRECTIONS).
+
+    They are asked about the mirror image, too: what is best to the left is best to the right there.
+    """
+    order = torch.as_tensor(MIRROR, device=shown.view.device)
+    both = torch.cat([shown.view, shown.view[:, order]])
+    values = forward(critics, both, shown.numbers.repeat(2, 1))
+    straight, mirror = values[:, 0].mean(dim=0).chunk(2)
+    return 0.5 * (straight + mirror[:, order])
 
 
 def wrapped(turn: Tensor) -> Tensor:
