@@ -1,4 +1,4 @@
-"""Ctrl-C ends a node without a traceback, and wrong ROS arguments end it with a line."""
+"""Ctrl-C ends a node in order and without a traceback; wrong ROS arguments end it with a line."""
 
 from __future__ import annotations
 
@@ -31,6 +31,28 @@ CASES = {
     "import": (f"{INTERRUPT}\n", ""),
     "construction": (NODE.format(early=INTERRUPT, late="pass"), ""),
     "spinning": (NODE.format(early=f"import os, signal; {WHEN_IDLE}", late="pass"), "closed\n"),
+    "terminated": (
+        NODE.format(early=f"import os, signal; {WHEN_IDLE}".replace("INT", "TERM"), late="pass"),
+        "closed\n",
+    ),
+    "working": (
+        NODE.format(
+            early="""
+        from std_msgs.msg import Empty
+        publisher = self.create_publisher(Empty, "done", 1)
+
+        def work():
+            import os, signal, time
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.5)
+            publisher.publish(Empty())
+            print("worked", flush=True)
+
+        self.create_timer(0.1, work)""",
+            late="pass",
+        ),
+        "closed\nworked\n",
+    ),
     "closing": (
         NODE.format(
             early=f"import os, signal; {WHEN_IDLE}",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol, cast
 
@@ -16,7 +16,7 @@ from rclpy.exceptions import (
 )
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import uninstall_signal_handlers
+from rclpy.signals import SignalHandlerOptions
 
 from wisar_planner.errors import InvalidInput
 
@@ -29,6 +29,10 @@ _USER_MISTAKES = (
 )
 
 
+# How long callbacks at work may take to end, s.
+_PATIENCE_S = 4.0
+
+
 class Closeable(Protocol):
     """A node with threads or sockets of its own."""
 
@@ -36,13 +40,29 @@ class Closeable(Protocol):
         """Stop them; called once, before the node is destroyed."""
 
 
+class _Executor(MultiThreadedExecutor):
+    """The executor, but that its shutdown waits for callbacks at work as its text promises.
+
+    rclpy marks it as shut down before it asks whether to wait, and so never does (Jazzy, up to
+    7.1): the node was destroyed under its callbacks, which then failed or never ended.
+    """
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Begin no more callbacks and wait for those at work; return whether they ended."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        ended = self._work_tracker.wait(timeout_sec)
+        return super().shutdown(timeout_sec) and ended
+
+
 def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
     """Run a node until Ctrl-C, SIGTERM or a shutdown of the context; return the exit status.
 
-    A mistake in its arguments or parameters ends it with one line on stderr and status 2.
+    A mistake in its arguments or parameters ends it with one line on stderr and status 2. Callbacks
+    at work when it is told to end come to their end first, so that nothing is sent in halves.
     """
     try:
-        rclpy.init(args=arguments)
+        # rclpy's own handlers would shut ROS down under callbacks at work.
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except KeyboardInterrupt:
         return 0
     except RuntimeError as error:  # rclpy's errors have no public names
@@ -51,37 +71,52 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
         return 2
     try:
         node = factory()
+        told_to_end = threading.Event()
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, lambda *_: told_to_end.set())
     except _USER_MISTAKES as error:
         print(f"{factory.__name__}: {error}", file=sys.stderr)
-        _shut_down()
+        rclpy.try_shutdown()
         return 2
     except KeyboardInterrupt:
-        _shut_down()
+        rclpy.try_shutdown()
         return 0
-    except Exception:
-        if rclpy.ok():
-            raise
-        return 0  # told to end while it was being made
-    # Threads let a node answer (parameters, cancel requests) while a callback works.
-    executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        # A terminal and a launcher may both send the signal: once is enough.
-        uninstall_signal_handlers()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if hasattr(node, "close"):
-            cast(Closeable, node).close()
-        executor.shutdown(timeout_sec=2.0)
-        node.destroy_node()
-        _shut_down()
+    failure = _spin_until(node, told_to_end)
+    rclpy.try_shutdown()
+    if failure is not None:
+        raise failure
     return 0
 
 
-def _shut_down() -> None:
-    """Shut ROS down, unless the handler of a signal, which runs beside, is ahead."""
-    with contextlib.suppress(RuntimeError):
-        rclpy.try_shutdown()
+def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | None:
+    """Spin a node in a thread, end it in order when told to; return what a callback raised."""
+    # Threads let a node answer (parameters, cancel requests) while a callback works.
+    executor = _Executor(num_threads=4)
+    executor.add_node(node)
+    failures: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            pass
+        except BaseException as error:
+            failures.append(error)
+        finally:
+            told_to_end.set()
+
+    spinning = threading.Thread(target=work, name="spin", daemon=True)
+    spinning.start()
+    # Signal handlers run in this thread.
+    told_to_end.wait()
+    # A terminal and a launcher may both send Ctrl-C: once is enough. SIGTERM once more is in
+    # earnest.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(node, "close"):
+        cast(Closeable, node).close()
+    ended = executor.shutdown(timeout_sec=_PATIENCE_S)
+    spinning.join(_PATIENCE_S)
+    if ended and not spinning.is_alive():
+        node.destroy_node()
+    return failures[0] if failures else None
