@@ -55,9 +55,9 @@ class Suite:
 
     def start_planner(
         self, planner: str = "greedy", namespace: str | None = None, **parameters: object
-    ) -> None:
+    ) -> subprocess.Popen[bytes]:
         settings = SCENE | {"planner": planner} | parameters
-        self.start("wisar_planner", "planner", namespace, **settings)
+        return self.start("wisar_planner", "planner", namespace, **settings)
 
     def start_drone(self) -> None:
         self.start("wisar_sim", "sim_drone", tick_rate=200.0)
@@ -69,9 +69,9 @@ class Suite:
         options = ("--connection", f"udpin:127.0.0.1:{self.port}", *place, *options)
         self.processes.start("sim_autopilot", [*command, *options])
 
-    def start_bridge(self, **parameters: object) -> None:
+    def start_bridge(self, **parameters: object) -> subprocess.Popen[bytes]:
         connection = f"udpout:127.0.0.1:{self.port}"
-        self.start("wisar_planner", "mavlink_bridge", connection=connection, **parameters)
+        return self.start("wisar_planner", "mavlink_bridge", connection=connection, **parameters)
 
     def close(self) -> None:
         self._domain.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,23 @@ def test_a_killed_map_server_leaves_the_planner_working(suite, mixture_file) -> 
     suite.operator.plan = None
     suite.start_map(mixture_file)
     suite.wait_for_plan()
+
+
+def test_ctrl_c_in_flight_ends_every_node_in_order(suite, mixture_file) -> None:
+    suite.start_autopilot()
+    nodes = {
+        "pdm_server": suite.start_map(mixture_file),
+        "planner": suite.start_planner("sac_search"),
+        "sim_drone": suite.start("wisar_sim", "sim_drone", tick_rate=20.0),
+        "mavlink_bridge": suite.start_bridge(),
+    }
+    suite.wait(lambda: suite.operator.progress and suite.operator.progress.step > 0, "the flight")
+    suite.wait_for_bridge()
+    for process in nodes.values():
+        process.send_signal(signal.SIGINT)
+    assert {name: process.wait(30.0) for name, process in nodes.items()} == dict.fromkeys(nodes, 0)
+    for name in nodes:
+        assert not {"Traceback", "exception"} & set(suite.log(name).split()), suite.log(name)
 
 
 def load(suite, path: Path):
