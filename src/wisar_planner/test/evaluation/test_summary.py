@@ -98,6 +98,7 @@ def test_distance_to_find_is_over_the_found_of_all_runs():
     assert planner["found_pct"] == pytest.approx(100.0 * 4 / 30)
     assert planner["dtf_mean_m"] == pytest.approx(together.mean())
     assert planner["dtf_std_m"] == pytest.approx(together.std(ddof=1))
+    assert planner["flown_per_person_m"] == pytest.approx((together.sum() + 26 * 512.0) / 30)
     assert planner["dtf_quantiles_m"]["p50"] == pytest.approx(200.0, abs=2.0)
 
 
@@ -125,7 +126,9 @@ def test_what_does_not_exist_is_null_in_json():
 
 def test_table_stands_beside_the_papers_on_the_papers_setup_alone(results):
     _, summary = results
-    names = [row[0] for row in table_rows(summary)]
+    rows = list(table_rows(summary))
+    assert rows[3][HEADERS.index("flown per person, m")] == "480.9"  # 11.86% at 249.37 m of 512
+    names = [row[0] for row in rows]
     assert names == [
         "lawnmower",
         "paper's lawnmower",

@@ -37,6 +37,11 @@ class PaperResult:
     dtf_m: float
     dtf_std_m: float
 
+    def flown_per_person_m(self, budget_m: float) -> float:
+        """Return the mean distance until a person is found or the budget is spent, m."""
+        found = self.found_pct / 100.0
+        return found * self.dtf_m + (1.0 - found) * budget_m
+
 
 #: The paper's results by the name of our planner that is the same method.
 PAPER_RESULTS: Mapping[str, PaperResult] = {

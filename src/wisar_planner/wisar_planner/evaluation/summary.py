@@ -87,6 +87,9 @@ def _planner_summary(runs: Sequence[RunRecord], distance: float) -> dict[str, An
     seconds = np.array([r.seconds for r in runs])
     edges = np.arange(FIND_BINS + 1) / FIND_BINS * distance
     find_counts = np.sum([r.find_counts for r in runs], axis=0)
+    # With those who are not found at the whole budget, a planner cannot look fast by finding only
+    # the near ones (the restricted mean of survival analysis).
+    flown = find_total + (persons - found) * distance
     quantiles = histogram_quantiles(find_counts, edges, list(_QUANTILES.values()))
     return {
         "runs": len(runs),
@@ -100,6 +103,7 @@ def _planner_summary(runs: Sequence[RunRecord], distance: float) -> dict[str, An
         "dtf_std_m": pooled_standard_deviation(
             found.sum(), find_total.sum(), sum(r.find_squares for r in runs)
         ),
+        **_with_interval("flown_per_person_m", bootstrap_ratio(flown, persons)),
         "dtf_quantiles_m": dict(zip(_QUANTILES, quantiles.tolist(), strict=True)),
         "seconds_per_plan": float(seconds.mean()),
         "seconds_per_plan_p95": float(np.quantile(seconds, 0.95)),

@@ -16,6 +16,7 @@ HEADERS = (
     "of bound",
     "found %",
     "distance to find, m",
+    "flown per person, m",
     "s per plan",
     "begins",
 )
@@ -39,6 +40,7 @@ def table_rows(results: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
             f"{100.0 * planner['share_of_bound']:.1f}%",
             f"{planner['found_pct']:.2f}",
             _with_spread(planner["dtf_mean_m"], planner["dtf_std_m"], 1),
+            f"{planner['flown_per_person_m']:.1f}",
             _seconds(planner["seconds_per_plan"]),
             _begins(planner),
         )
@@ -52,6 +54,7 @@ def table_rows(results: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
                 "",
                 f"{paper.found_pct:.2f}",
                 _with_spread(paper.dtf_m, paper.dtf_std_m, 1),
+                f"{paper.flown_per_person_m(results['setup']['max_distance_m']):.1f}",
                 "",
                 "",
             )
@@ -61,7 +64,7 @@ def table_rows(results: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
         "",
         _with_spread(bound["e_p_mean"], bound["e_p_std"], 3),
         _interval(bound["e_p_mean_ci"], 4),
-        *("",) * 5,
+        *("",) * 6,
     )
 
 
@@ -84,9 +87,9 @@ def caption(results: Mapping[str, Any]) -> str:
         f"steps of {setup['step_length_m']:g} m, swath radius {setup['swath_radius_m']:g} m; "
         f"{setup['persons']} persons per run, drawn inside the area. p_D and e_p count what the "
         "swath sees beyond the border of the area too, so that the share of persons found may be "
-        "smaller. ± is the standard deviation, over runs or over found persons; intervals are BCa "
-        "bootstrap over runs. A leg from the start, where a planner flies one, counts as part of "
-        "the path."
+        "smaller. Flown per person: until the person is found or the budget is spent. ± is the "
+        "standard deviation, over runs or over found persons; intervals are BCa bootstrap over "
+        "runs. A leg from the start, where a planner flies one, counts as part of the path."
     )
 
 
