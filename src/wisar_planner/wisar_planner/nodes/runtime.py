@@ -43,8 +43,8 @@ class Closeable(Protocol):
 class _Executor(MultiThreadedExecutor):
     """The executor, but that its shutdown waits for callbacks at work as its text promises.
 
-    rclpy marks it as shut down before it asks whether to wait, and so never does (Jazzy, up to
-    7.1): the node was destroyed under its callbacks, which then failed or never ended.
+    rclpy marks it as shut down before it asks whether to wait, and so never does (Jazzy,
+    7.1.5): the node was destroyed under its callbacks, which then failed or never ended.
     """
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:

@@ -35,7 +35,7 @@ def read_any_config(path: Path, **overrides: Any) -> Config:
     ----------
     path : Path
         The file; fields that it does not name keep their defaults. Without the field `algorithm`
-        it is for `training.run`.
+        it is for `training.sac_run`.
     **overrides
         Fields that replace those of the file.
 
