@@ -20,7 +20,7 @@ test: train-setup ## run all tests
 train-setup: ## setup, and PyTorch for training (planning does without)
 	@$(PYTHON) scripts/setup_environment.py --train
 
-train: train-setup ## train a policy (TRAIN="config/sac.yaml --seed 1"; config/improvement.yaml for the shipped one)
+train: train-setup ## train a policy (TRAIN="config/sac.yaml --seed 1"; config/improvement.yaml improves models/sac_plain)
 	@bash -c '$(ENV) && exec wisar train $(or $(TRAIN),config/sac.yaml)'
 
 lint: train-setup ## ruff and the type checker

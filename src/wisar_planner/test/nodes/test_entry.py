@@ -83,6 +83,17 @@ def test_ctrl_c_is_quiet(tmp_path: Path, when: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, output, "")
 
 
+def test_a_callback_that_fails_ends_the_node_and_says_why(tmp_path: Path) -> None:
+    early = "self.create_timer(0.1, lambda: 1 / 0)"
+    (tmp_path / "failing.py").write_text(NODE.format(early=early, late="pass"))
+    script = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import failing; failing.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (1, "closed\n")
+    assert "ZeroDivisionError" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -7,7 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -24,6 +24,8 @@ OnProgress = Callable[[int, int], None]
 
 class RunConfig(Protocol):
     """What the configurations of all runs have; they are dataclasses of plain values."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def name(self) -> str:
@@ -175,4 +177,4 @@ class Run(ABC, Generic[Config]):
 
     def plain_config(self) -> dict[str, Any]:
         """Return the configuration as plain values, for a card or a checkpoint."""
-        return dataclasses.asdict(self.config)  # type: ignore[call-overload]
+        return dataclasses.asdict(self.config)

@@ -115,8 +115,7 @@ class SacRun(Run[TrainingConfig]):
         return {"owed": self._owed, "added": self.replay.added}
 
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
-        with torch.enable_grad():
-            make_optimizer_tensors(self.sac.optimizers)
+        make_optimizer_tensors(self.sac.optimizers)
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
         self.replay.added, self._owed = counters["added"], counters["owed"]
