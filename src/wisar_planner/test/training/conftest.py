@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from wisar_planner.training import worlds as module
+from wisar_planner.training.algorithms import make_run
 from wisar_planner.training.worlds import WorldDistribution
 
 #: Kinds of worlds that trainings draw.
@@ -23,6 +24,25 @@ def distribution(request):
 @pytest.fixture
 def generator():
     return torch.Generator().manual_seed(3)
+
+
+@pytest.fixture
+def trained():
+    """A function that trains; one that is told to stops after some validations and goes on anew."""
+
+    def train(config, folder, *, stop_after=None):
+        run = make_run(config, folder, torch.device("cpu"))
+        for count, _ in enumerate(run.train(), start=1):
+            if count == stop_after:
+                run = make_run(config, folder, torch.device("cpu"))
+                run.load_checkpoint()
+                assert len(run.validations) == stop_after
+                assert run.steps == run.validations[-1].steps
+                list(run.train())
+                break
+        return run
+
+    return train
 
 
 @pytest.fixture

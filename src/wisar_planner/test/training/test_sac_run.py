@@ -20,32 +20,21 @@ TINY = TrainingConfig(
 )  # fmt: skip
 
 
-def weights_after(config, folder, *, stop_after=None):
-    """Train, stop after some validations and go on from the checkpoint; return the weights."""
-    run = SacRun(config, folder, CPU)
-    for count, _ in enumerate(run.train(), start=1):
-        if count == stop_after:
-            run = SacRun(config, folder, CPU)
-            run.load_checkpoint()
-            assert run.steps == config.validation_every
-            for _ in run.train():
-                pass
-            break
-    return {name: value.detach().clone() for name, value in run.sac.actor.items()}
+def same(first, other) -> bool:
+    mine, theirs = first.sac.actor, other.sac.actor
+    return all(torch.equal(mine[name], theirs[name]) for name in mine)
 
 
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path) -> None:
-    first = weights_after(TINY, tmp_path / "a")
-    again = weights_after(TINY, tmp_path / "b")
-    other = weights_after(dataclasses.replace(TINY, seed=1), tmp_path / "c")
-    assert all(torch.equal(first[name], again[name]) for name in first)
-    assert not torch.equal(first["view"], other["view"])
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path, trained) -> None:
+    first = trained(TINY, tmp_path / "a")
+    assert same(first, trained(TINY, tmp_path / "b"))
+    assert not same(first, trained(dataclasses.replace(TINY, seed=1), tmp_path / "c"))
 
 
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path) -> None:
-    whole = weights_after(TINY, tmp_path / "whole")
-    stopped = weights_after(TINY, tmp_path / "stopped", stop_after=1)
-    assert all(torch.equal(whole[name], stopped[name]) for name in whole)
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path, trained) -> None:
+    whole = trained(TINY, tmp_path / "whole")
+    assert same(whole, trained(TINY, tmp_path / "stopped", stop_after=1))
+    assert whole.validations[0].steps == TINY.validation_every
 
 
 def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
@@ -64,8 +53,8 @@ def test_an_ablation_learns_but_is_not_kept_as_a_model(tmp_path) -> None:
     assert not list(tmp_path.glob("tiny*"))
 
 
-def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path) -> None:
-    weights_after(TINY, tmp_path)
+def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path, trained) -> None:
+    trained(TINY, tmp_path)
     with pytest.raises(InvalidInput, match="another configuration"):
         SacRun(dataclasses.replace(TINY, batch=16), tmp_path, CPU).load_checkpoint()
     (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")

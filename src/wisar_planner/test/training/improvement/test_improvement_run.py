@@ -22,39 +22,27 @@ TINY = ImprovementConfig(
 )  # fmt: skip
 
 
-def improved(config, folder, *, stop_after=None):
-    """Improve, stop after some validations and go on from the checkpoint; return the run."""
-    run = ImprovementRun(config, folder, CPU)
-    for count, _ in enumerate(run.train(), start=1):
-        if count == stop_after:
-            run = ImprovementRun(config, folder, CPU)
-            run.load_checkpoint()
-            assert len(run.validations) == stop_after
-            for _ in run.train():
-                pass
-            break
-    return run
-
-
 def same(first, other) -> bool:
     return all(torch.equal(first.actor[name], other.actor[name]) for name in first.actor)
 
 
-def test_the_same_seed_gives_the_same_policy_and_another_seed_another(tmp_path) -> None:
-    first = improved(TINY, tmp_path / "a")
-    assert same(first, improved(TINY, tmp_path / "b"))
-    assert not same(first, improved(dataclasses.replace(TINY, seed=1), tmp_path / "c"))
+def test_the_same_seed_gives_the_same_policy_and_another_seed_another(tmp_path, trained) -> None:
+    first = trained(TINY, tmp_path / "a")
+    assert same(first, trained(TINY, tmp_path / "b"))
+    assert not same(first, trained(dataclasses.replace(TINY, seed=1), tmp_path / "c"))
     assert len(first.validations) == 3
 
 
 @pytest.mark.parametrize("stop_after", [1, 2])
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path, stop_after) -> None:
-    whole = improved(TINY, tmp_path / "whole")
-    assert same(whole, improved(TINY, tmp_path / "stopped", stop_after=stop_after))
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    tmp_path, trained, stop_after
+) -> None:
+    whole = trained(TINY, tmp_path / "whole")
+    assert same(whole, trained(TINY, tmp_path / "stopped", stop_after=stop_after))
 
 
-def test_the_best_policy_is_kept_with_a_card_that_tells_where_it_began(tmp_path) -> None:
-    run = improved(TINY, tmp_path)
+def test_the_best_policy_is_kept_with_a_card_that_tells_where_it_began(tmp_path, trained) -> None:
+    run = trained(TINY, tmp_path)
     model = load_model(tmp_path / "tiny.safetensors")
     shipped = load_model(find_model("sac")).card
     assert model.card["validation"]["share_of_bound"] == pytest.approx(run.best_share, abs=1e-4)
@@ -79,7 +67,7 @@ def test_the_command_improves_a_policy_and_tells_mistakes_in_one_line(tmp_path, 
         assert len(error.splitlines()) == 1
 
 
-def test_a_checkpoint_of_another_configuration_is_refused(tmp_path) -> None:
-    improved(dataclasses.replace(TINY, rounds=1), tmp_path)
+def test_a_checkpoint_of_another_configuration_is_refused(tmp_path, trained) -> None:
+    trained(dataclasses.replace(TINY, rounds=1), tmp_path)
     with pytest.raises(InvalidInput, match="another configuration"):
         ImprovementRun(TINY, tmp_path, CPU).load_checkpoint()
