@@ -48,7 +48,7 @@ class SacPolicy(OptionedPlanner):
     ) -> SearchPath:
         """Return the policy's path; see `Planner.plan`."""
         began = time.monotonic()
-        weights = trained_policy(self.model).weights
+        model = trained_policy(self.model)
         steps = itertools.count(1)
         stopped = False
 
@@ -61,7 +61,7 @@ class SacPolicy(OptionedPlanner):
             stopped = should_stop is not None and should_stop()
             return stopped
 
-        waypoints = fly(problem, Terrain.of(problem), weights, on_step=on_step)[0]
+        waypoints = fly(problem, Terrain.of(problem), model, on_step=on_step)[0]
         path = SearchPath(waypoints, problem.swath_radius, self.name)
         if len(path.waypoints) <= problem.steps and not stopped:
             path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)

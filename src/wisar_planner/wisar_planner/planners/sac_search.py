@@ -40,7 +40,7 @@ class SacSearch(Lookahead):
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
     ) -> list[Found]:
         """Return flights of the policy, where it finds a way in the area, and greedy rollouts."""
-        weights = trained_policy(self.model).weights
+        model = trained_policy(self.model)
         terrain = Terrain.of(problem)
         rng = np.random.default_rng(self.seed)
         found: list[Found] = []
@@ -48,7 +48,7 @@ class SacSearch(Lookahead):
         while flown <= _RANDOM_FLIGHTS:
             count = 1 if flown == 0 else min(_BATCH, terrain.most_searches)
             paths = fly(
-                problem, terrain, weights, count=count, rng=rng if flown else None,
+                problem, terrain, model, count=count, rng=rng if flown else None,
                 on_step=(lambda _: monitor.asked_to_stop()) if found else None,
             )  # fmt: skip
             flown += count

@@ -1,4 +1,10 @@
-"""From the actor's outputs to a heading."""
+"""From the actor's outputs to a heading.
+
+There are two kinds of policies, by how their turns are distributed: a squashed Gaussian, as soft
+actor-critic has it, or one of the directions with an offset each. The second can hold two good ways
+apart, for example around a seen area to the left or to the right, where the first has to pass over
+the bad ones between them.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +13,72 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from array_api_compat import array_namespace, device
 
 from wisar_planner.policy.observation import DIRECTIONS
 from wisar_planner.policy.unseen_map import Array
 
-#: Outputs of the actor per direction: how good it is, and how certain.
+#: Outputs of the actor per direction: how good it is; how certain, or where in it to turn.
 ACTOR_OUTPUTS = 2
+#: How a policy's turns are distributed.
+GAUSSIAN, DIRECTED = "gaussian", "directed"
+DISTRIBUTIONS = (GAUSSIAN, DIRECTED)
+#: Angle between neighbouring directions, in units of pi.
+SPACING = 2.0 / DIRECTIONS
 _LOG_STD_MIN, _LOG_STD_MAX = -5.0, 0.5
 _ALMOST_ONE = 1.0 - 1e-6
+
+
+def likeliest_turn(output: Array, distribution: str) -> Array:
+    """Return the policy's most likely turns, (B,), in units of pi, -1 to 1.
+
+    Parameters
+    ----------
+    output : (ACTOR_OUTPUTS, B, DIRECTIONS)
+        What the actor's network returned.
+    distribution : str
+        One of `DISTRIBUTIONS`.
+    """
+    xp = array_namespace(output)
+    if distribution == GAUSSIAN:
+        return xp.tanh(actor_distribution(output)[0])
+    logits, offsets = directions_and_offsets(output)
+    return _turn_in(offsets, xp.argmax(logits, axis=-1))
+
+
+def random_turn(
+    output: npt.NDArray[np.float32], distribution: str, rng: np.random.Generator
+) -> npt.NDArray[np.float32]:
+    """Return random turns of the policy; see `likeliest_turn`."""
+    if distribution == GAUSSIAN:
+        mean, log_std = actor_distribution(output)
+        noise = rng.standard_normal(mean.shape, dtype=np.float32)
+        return np.asarray(np.tanh(mean + np.exp(log_std) * noise))
+    logits, offsets = directions_and_offsets(output)
+    # The greatest of logits with Gumbel noise is a draw from their softmax.
+    noise = rng.gumbel(size=logits.shape).astype(np.float32)
+    return np.asarray(_turn_in(offsets, np.argmax(logits + noise, axis=-1)))
+
+
+def directions_and_offsets(output: Array) -> tuple[Array, Array]:
+    """Return logits of the directions and offsets of the turn in each, (B, DIRECTIONS) each.
+
+    Offsets are in units of pi and reach to the neighbouring directions.
+    """
+    xp = array_namespace(output)
+    return output[0], SPACING * xp.tanh(output[1])
+
+
+def _turn_in(offsets: Array, direction: Array) -> Array:
+    xp = array_namespace(offsets)
+    offset = xp.take_along_axis(offsets, direction[:, None], axis=-1)[:, 0]
+    return wrapped(SPACING * xp.astype(direction, offsets.dtype) + offset)
+
+
+def wrapped(turn: Array) -> Array:
+    """Return turns in units of pi as their equals from -1 to below 1."""
+    return (turn + 1.0) % 2.0 - 1.0
 
 
 def actor_distribution(output: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,15 @@ from safetensors.numpy import save as save_tensors
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy import observation
-from wisar_planner.policy.heading import ACTOR_OUTPUTS
-from wisar_planner.policy.network import initial_parameters
-from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH
+from wisar_planner.policy.heading import (
+    ACTOR_OUTPUTS,
+    DISTRIBUTIONS,
+    GAUSSIAN,
+    likeliest_turn,
+    random_turn,
+)
+from wisar_planner.policy.network import forward, initial_parameters, spread_rings
+from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 
 #: Name of the policy that the planners load unless told otherwise.
 DEFAULT_MODEL = "sac"
@@ -43,6 +50,37 @@ class Model:
 
     weights: Weights
     card: dict[str, Any]
+
+    @property
+    def distribution(self) -> str:
+        """How its turns are distributed, one of `heading.DISTRIBUTIONS`."""
+        return distribution_of(self.card)
+
+    @cached_property
+    def _ready(self) -> Weights:
+        return spread_rings(self.weights)
+
+    def turn(
+        self, shown: Observation, rng: np.random.Generator | None = None
+    ) -> npt.NDArray[np.float32]:
+        """Return the turns that it takes, (B,), in units of pi.
+
+        Parameters
+        ----------
+        shown : Observation
+            What the searches show.
+        rng : numpy.random.Generator, optional
+            Source of randomness; without it the most likely turns.
+        """
+        output = forward(self._ready, *shown)[0]
+        if rng is not None:
+            return random_turn(output, self.distribution, rng)
+        return np.asarray(likeliest_turn(output, self.distribution))
+
+
+def distribution_of(card: dict[str, Any]) -> str:
+    """Return what a card says of the distribution of turns; that of the first models unless so."""
+    return str(card.get("distribution", GAUSSIAN))
 
 
 def interface() -> dict[str, int]:
@@ -134,6 +172,11 @@ def load_model(path: Path) -> Model:
         raise InvalidInput(
             f"model: {path} was trained for another observation ({card['interface']}) than this "
             f"version computes ({interface()}); train it anew or install the version it belongs to"
+        )
+    if distribution_of(card) not in DISTRIBUTIONS:
+        raise InvalidInput(
+            f"model: the card of {path} says that turns are distributed as "
+            f"{distribution_of(card)!r}; this version knows {' and '.join(DISTRIBUTIONS)}"
         )
     try:
         weights = load_tensors(content)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from array_api_compat import array_namespace, device
 
+from wisar_planner.policy import unseen_kernels
 from wisar_planner.policy.unseen_map import RATIO, Array, UnseenMap
 
 #: Changes with every change of what follows; a model serves only the version it was trained on.
@@ -67,13 +68,9 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
     fixed = _constants(xp, device(position))
     angles = heading[:, None] + fixed.directions
     unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
-    parts = []
-    for level, distances in enumerate(fixed.distances):
-        reach = unseen.step[:, None] * distances  # (B, R)
-        points = position[:, None, None, :] + unit[:, :, None, :] * reach[:, None, :, None]
-        parts.append(unseen.interpolated(level, points))
-    parts.append(step_gains(unseen, position, unit)[..., None])
-    view = xp.minimum(xp.concat(parts, axis=-1), _BRIGHTEST)
+    compiled = isinstance(position, np.ndarray)
+    view = (_compiled_view if compiled else _view)(unseen, position, unit, fixed)
+    view = xp.minimum(view, _BRIGHTEST)
     middle, coarse = (xp.max(level, axis=(1, 2)) for level in unseen.levels[1:])
     numbers = xp.stack(
         [
@@ -89,6 +86,36 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
         axis=-1,
     )
     return Observation(view, numbers)
+
+
+def _view(unseen: UnseenMap, position: Array, unit: Array, fixed: _Constants) -> Array:
+    """Return the view, (B, DIRECTIONS, VIEW_WIDTH), without its limit."""
+    xp = array_namespace(position)
+    parts = []
+    for level, distances in enumerate(fixed.distances):
+        reach = unseen.step[:, None] * distances  # (B, R)
+        points = position[:, None, None, :] + unit[:, :, None, :] * reach[:, None, :, None]
+        parts.append(unseen.interpolated(level, points))
+    parts.append(step_gains(unseen, position, unit)[..., None])
+    return xp.concat(parts, axis=-1)
+
+
+def _compiled_view(unseen: UnseenMap, position: Array, unit: Array, fixed: _Constants) -> Array:
+    """Return the same for NumPy."""
+    view = np.empty((*unit.shape[:2], VIEW_WIDTH), dtype=np.float32)
+    first = 0
+    for level, distances in enumerate(fixed.distances):
+        reach = unseen.step[:, None] * distances
+        part = view[:, :, first : first + len(distances)]
+        unseen_kernels.interpolate(
+            unseen.levels[level], 1.0 / RATIO**level, position, unit, reach, part
+        )
+        first += len(distances)
+    u, v, w = fixed.swath
+    ahead = u * unseen.step[:, None] + w * unseen.radius[:, None]
+    aside = v * unseen.radius[:, None]
+    unseen_kernels.step_gains(unseen.levels[0], position, unit, ahead, aside, view[:, :, -1])
+    return view
 
 
 def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:

@@ -12,9 +12,7 @@ import shapely
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
-from wisar_planner.policy.heading import actor_distribution
-from wisar_planner.policy.model import Weights
-from wisar_planner.policy.network import forward, spread_rings
+from wisar_planner.policy.model import Model
 from wisar_planner.policy.observation import (
     cells_per_step,
     observe,
@@ -105,7 +103,7 @@ class Terrain(NamedTuple):
 def fly(
     problem: SearchProblem,
     terrain: Terrain,
-    weights: Weights,
+    model: Model,
     *,
     count: int = 1,
     rng: np.random.Generator | None = None,
@@ -119,8 +117,8 @@ def fly(
         The problem.
     terrain : Terrain
         Its map.
-    weights : dict of str to float32 arrays
-        The actor's parameters.
+    model : Model
+        The policy.
     count : int
         Number of searches.
     rng : numpy.random.Generator, optional
@@ -149,17 +147,13 @@ def fly(
     def cells(points: FloatArray) -> npt.NDArray[np.float32]:
         return ((points - origin) / terrain.grid.cell).astype(np.float32)
 
-    weights = spread_rings(weights)
     swath = 2.0 * terrain.radius * terrain.step
     seen = unseen.see(cells(position), cells(position)) * (terrain.unit / swath)
     waypoints = [position]
     for flown in range(problem.steps):
         left = np.full(count, problem.steps - flown, dtype=np.float32)
         shown = observe(unseen, cells(position), heading.astype(np.float32), left)
-        mean, log_std = actor_distribution(forward(weights, *shown)[0])
-        if rng is not None:
-            mean = mean + np.exp(log_std) * rng.standard_normal(count)
-        heading = heading + math.pi * np.tanh(mean.astype(np.float64))
+        heading = heading + math.pi * model.turn(shown, rng).astype(np.float64)
         end, heading, possible = _inside(problem, position, heading)
         if not possible:
             break

@@ -15,15 +15,19 @@ from wisar_planner.training.improvement.run import ImprovementRun
 from wisar_planner.training.paper import config as paper
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.run import PaperRun
+from wisar_planner.training.ppo import config as ppo
+from wisar_planner.training.ppo.config import PpoConfig
+from wisar_planner.training.ppo.run import PpoRun
 from wisar_planner.training.records import read_counters
 from wisar_planner.training.run import Run
 from wisar_planner.training.sac_run import SacRun
 
-Config = TrainingConfig | ImprovementConfig | PaperConfig
-AnyRun = Run[TrainingConfig] | Run[ImprovementConfig] | Run[PaperConfig]
+Config = TrainingConfig | ImprovementConfig | PpoConfig | PaperConfig
+AnyRun = Run[TrainingConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[PaperConfig]
 
-_CONFIGS: dict[str, type[ImprovementConfig] | type[PaperConfig]] = {
+_CONFIGS: dict[str, type[ImprovementConfig] | type[PpoConfig] | type[PaperConfig]] = {
     improvement.ALGORITHM: ImprovementConfig,
+    ppo.ALGORITHM: PpoConfig,
     paper.ALGORITHM: PaperConfig,
 }
 
@@ -78,6 +82,8 @@ def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
     """
     if isinstance(config, PaperConfig):
         return PaperRun(config, folder, device)
+    if isinstance(config, PpoConfig):
+        return PpoRun(config, folder, device)
     if isinstance(config, ImprovementConfig):
         return ImprovementRun(config, folder, device)
     return SacRun(config, folder, device)

@@ -64,7 +64,7 @@ class Run(ABC, Generic[Config]):
         self.config, self.folder, self.device = config, folder, device
         self.generator = training_generator(config.seed, device)
         self.steps, self.updates, self.seconds = 0, 0, 0.0
-        self.best_share = 0.0
+        self.best_score, self.best_share = 0.0, 0.0
         self.validations: list[Validation] = []
 
     # What kinds of runs differ in.
@@ -92,6 +92,10 @@ class Run(ABC, Generic[Config]):
     @abstractmethod
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         """Take over what `_tensors` and `_counters` gave when the checkpoint was written."""
+
+    def _score(self, result: Validation) -> float:
+        """Return what the best policy has most of."""
+        return result.share
 
     # What they share.
 
@@ -134,8 +138,10 @@ class Run(ABC, Generic[Config]):
             {**figures, **flights.figures},
         )  # fmt: skip
         self.validations.append(result)
-        better = result.share > self.best_share
-        self.best_share = max(result.share, self.best_share)
+        score = self._score(result)
+        better = score > self.best_score
+        if better:
+            self.best_score, self.best_share = score, result.share
         if self.folder is not None:
             if better:
                 self._save_model(self.folder / f"{self.config.name}.safetensors", result)
@@ -148,6 +154,7 @@ class Run(ABC, Generic[Config]):
             "steps": self.steps,
             "updates": self.updates,
             "seconds": self.seconds,
+            "best_score": self.best_score,
             "best_share": self.best_share,
             "config": self.plain_config(),
             "validations": [vars(each) for each in self.validations],
@@ -172,7 +179,8 @@ class Run(ABC, Generic[Config]):
             self._restore(stored, counters)
         self.generator.set_state(stored["generator"].cpu())
         self.steps, self.updates = counters["steps"], counters["updates"]
-        self.seconds, self.best_share = counters["seconds"], counters["best_share"]
+        self.seconds = counters["seconds"]
+        self.best_score, self.best_share = counters["best_score"], counters["best_share"]
         self.validations = [Validation(**each) for each in counters["validations"]]
 
     def plain_config(self) -> dict[str, Any]:

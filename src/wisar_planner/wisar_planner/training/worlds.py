@@ -65,6 +65,13 @@ class WorldDistribution:
         Smallest and largest swath radius.
     budgets : (int, int)
         Fewest and most steps of the budget.
+    field_share : float
+        Share of the worlds that vary whose density is no mixture but the exponential of smooth
+        noise, which has detail everywhere.
+    smoothness : (float, float)
+        Smallest and largest standard deviation of the Gaussian that smooths that noise.
+    contrast : (float, float)
+        Smallest and largest standard deviation of the logarithm of that density.
     """
 
     paper_share: float = 1.0
@@ -73,13 +80,20 @@ class WorldDistribution:
     deviations: tuple[float, float] = (0.8, 6.0)
     radii: tuple[float, float] = (0.2, 0.6)
     budgets: tuple[int, int] = (10, 160)
+    field_share: float = 0.0
+    smoothness: tuple[float, float] = (0.4, 4.0)
+    contrast: tuple[float, float] = (0.5, 2.0)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.paper_share <= 1.0:
-            raise InvalidInput(f"paper_share must be from 0 to 1, not {self.paper_share}")
+        for name in ("paper_share", "field_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidInput(f"{name} must be from 0 to 1, not {getattr(self, name)}")
         if not 1 <= self.modes <= 1000:
             raise InvalidInput(f"modes must be from 1 to 1000, not {self.modes}")
-        for name, least in (("sides", 1.0), ("deviations", 0.01), ("radii", 0.05), ("budgets", 1)):
+        for name, least in (
+            ("sides", 1.0), ("deviations", 0.01), ("radii", 0.05), ("budgets", 1),
+            ("smoothness", 0.1), ("contrast", 0.01),
+        ):  # fmt: skip
             low, high = getattr(self, name)
             if not least <= low <= high < math.inf:
                 raise InvalidInput(f"{name} must be two rising numbers from {least} up")
@@ -154,6 +168,11 @@ def random_worlds(
     means = low[:, None, :] + means * cells[:, None, None]
     deviations = deviations * cells[:, None, None]
     density = _density(d.side, weights, means, deviations, turn)
+    if d.field_share > 0.0:
+        fields = torch.nonzero(~paper & (uniform() < d.field_share))[:, 0]
+        smoothness, contrast = between(d.smoothness) * cells, between(d.contrast)
+        if len(fields):  # a GPU's Fourier transform takes no empty batch
+            density[fields] = _fields(d.side, smoothness[fields], contrast[fields], generator)
     centre = torch.arange(d.side, device=where) + 0.5
     reach = (radius * cells)[:, None]
     inside = [
@@ -174,18 +193,52 @@ def random_worlds(
 
 
 def _density(side: int, weights: Tensor, means: Tensor, deviations: Tensor, turn: Tensor) -> Tensor:
-    """Return the density of mixtures at the centres of cells, (n, side, side)."""
+    """Return the density of mixtures at the centres of cells, (n, side, side).
+
+    A weight of 0 means that there is no such mode, nor any after it.
+    """
+    # Worlds of many modes first, so that those that have a k-th are the first ones.
+    modes = (weights > 0.0).sum(dim=1)
+    order = torch.argsort(modes, descending=True)
+    having = (modes[:, None] > torch.arange(weights.shape[1], device=modes.device)).sum(dim=0)
     centre = torch.arange(side, device=weights.device) + 0.5
     density = torch.zeros(len(weights), side, side, device=weights.device)
-    cos, sin = torch.cos(turn), torch.sin(turn)
-    for k in range(weights.shape[1]):
-        if not bool((weights[:, k] > 0.0).any()):
-            continue
-        dx = (centre - means[:, k, 0, None])[:, None, :]
-        dy = (centre - means[:, k, 1, None])[:, :, None]
-        c, s = cos[:, k, None, None], sin[:, k, None, None]
-        u = (c * dx + s * dy) / deviations[:, k, 0, None, None]
-        v = (c * dy - s * dx) / deviations[:, k, 1, None, None]
-        norm = weights[:, k] / (deviations[:, k, 0] * deviations[:, k, 1])
-        density += norm[:, None, None] * torch.exp(-0.5 * (u * u + v * v))
-    return density
+    for k, count in enumerate(having.tolist()):
+        some = order[:count]
+        dx = (centre - means[some, k, 0, None])[:, None, :]
+        dy = (centre - means[some, k, 1, None])[:, :, None]
+        c, s = (f(turn[some, k])[:, None, None] for f in (torch.cos, torch.sin))
+        along, across = (deviations[some, k, axis, None, None] for axis in (0, 1))
+        u = (c / along) * dx + (s / along) * dy
+        v = (c / across) * dy - (s / across) * dx
+        exponent = u.square_().add_(v.square_()).mul_(-0.5)
+        norm = weights[some, k, None, None] / (along * across)
+        density[:count].addcmul_(exponent.exp_(), norm)
+    return torch.empty_like(density).index_copy_(0, order, density)
+
+
+def _fields(side: int, smoothness: Tensor, contrast: Tensor, generator: torch.Generator) -> Tensor:
+    """Return densities whose logarithm is smooth noise, periodic over the raster, (n, side, side).
+
+    Parameters
+    ----------
+    side : int
+        Side of the rasters, in cells.
+    smoothness : (n,)
+        Standard deviation of the Gaussian that smooths white noise, in cells.
+    contrast : (n,)
+        Standard deviation of the logarithm.
+    generator : torch.Generator
+        Source of the noise.
+    """
+    where = generator.device
+    noise = torch.randn(len(contrast), side, side, generator=generator, device=where)
+    rows = torch.fft.fftfreq(side, device=where)[:, None]
+    columns = torch.fft.rfftfreq(side, device=where)[None, :]
+    # The Gaussian's Fourier transform.
+    width = 2.0 * math.pi**2 * smoothness.square()[:, None, None]
+    passed = torch.exp(-width * (rows.square() + columns.square()))
+    field = torch.fft.irfft2(torch.fft.rfft2(noise) * passed, s=(side, side))
+    field = field - field.mean(dim=(1, 2), keepdim=True)
+    spread = field.square().mean(dim=(1, 2), keepdim=True).sqrt().clamp(min=1e-12)
+    return torch.exp(contrast[:, None, None] * field / spread)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from wisar_planner.policy.heading import wrapped
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.networks import (
@@ -15,7 +16,6 @@ from wisar_planner.training.improvement.networks import (
     Policy,
     mirrored,
     state_value,
-    wrapped,
 )
 from wisar_planner.training.worlds import WorldDistribution
 

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.heading import actor_distribution
-from wisar_planner.policy.network import forward
+from wisar_planner.policy.heading import wrapped
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
@@ -19,7 +18,6 @@ from wisar_planner.training.improvement.networks import (
     likeliest_turn,
     mirrored,
     optimizer_of,
-    wrapped,
 )
 
 
@@ -64,7 +62,7 @@ def imitate(
                 environment.step(likeliest_turn(actor, shown))
             on_steps(config.environments)
         shown, target = states.sample(config.batch, generator)
-        turn = torch.tanh(actor_distribution(forward(actor, *shown)[0])[0])
+        turn = likeliest_turn(actor, shown)
         deviation = wrapped(turn - target) * (180.0 / config.tolerance)
         loss = torch.log1p(deviation.square()).mean()
         learn(optimizer, loss, config.imitation_rate, update / config.imitation_updates)

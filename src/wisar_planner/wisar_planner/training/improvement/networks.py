@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.heading import actor_distribution, value_at
+from wisar_planner.policy import heading
+from wisar_planner.policy.heading import GAUSSIAN, value_at, wrapped
 from wisar_planner.policy.network import MIRROR, forward, initial_parameters
 from wisar_planner.policy.observation import Observation
 
@@ -32,7 +33,8 @@ def make_networks(
 
 def likeliest_turn(actor: Mapping[str, Tensor], shown: Observation) -> Tensor:
     """Return the policy's turns, (B,), as planners fly them."""
-    return torch.tanh(actor_distribution(forward(actor, *shown)[0])[0])
+    result: Tensor = heading.likeliest_turn(forward(actor, *shown)[0], GAUSSIAN)
+    return result
 
 
 def state_value(value: Mapping[str, Tensor], shown: Observation) -> Tensor:
@@ -69,11 +71,6 @@ def mean_value(critics: Mapping[str, Tensor], shown: Observation) -> Tensor:
     values = forward(critics, both, shown.numbers.repeat(2, 1))
     straight, mirror = values[:, 0].mean(dim=0).chunk(2)
     return 0.5 * (straight + mirror[:, order])
-
-
-def wrapped(turn: Tensor) -> Tensor:
-    """Return turns in units of pi as their equals from -1 to below 1."""
-    return (turn + 1.0) % 2.0 - 1.0
 
 
 def mirrored(view: Tensor, turns: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from wisar_planner.errors import InvalidInput
+from wisar_planner.policy.heading import GAUSSIAN
 from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.improvement.branches import Labels, fly_branches
@@ -48,6 +50,11 @@ class ImprovementRun(Run[ImprovementConfig]):
     ) -> None:
         super().__init__(config, folder, device)
         start = load_model(find_model(config.start))
+        if start.distribution != GAUSSIAN:
+            raise InvalidInput(
+                f"start: policy iteration improves policies with Gaussian turns, {config.start} is "
+                f"{start.distribution}; start from sac_plain or train by config/ppo.yaml"
+            )
         self._start = start.card
         self.actor: Networks = {
             name: torch.tensor(value, device=device, requires_grad=True)

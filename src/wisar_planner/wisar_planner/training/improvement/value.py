@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
 
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
@@ -17,6 +16,7 @@ from wisar_planner.training.improvement.networks import (
     optimizer_of,
     state_value,
 )
+from wisar_planner.training.returns import trace_returns
 
 # Steps of each search between updates.
 _WINDOW = 16
@@ -77,26 +77,3 @@ def learn_value(
             learn(optimizer, loss, config.value_rate, window / windows)
         on_steps(config.environments * _WINDOW)
     return error
-
-
-def trace_returns(rewards: Tensor, dones: Tensor, values: Tensor, trace: float) -> Tensor:
-    """Return the returns of TD(lambda) without discount, (T, B).
-
-    Sutton and Barto (2018), "Reinforcement Learning", equation 12.18 in its recursive form.
-
-    Parameters
-    ----------
-    rewards, dones : (T, B)
-        Rewards of the steps, and which steps ended a search.
-    values : (T + 1, B)
-        Values of the states before the steps and after the last.
-    trace : float
-        Lambda.
-    """
-    returns = torch.empty_like(rewards)
-    following = values[-1]
-    for t in reversed(range(len(rewards))):
-        mixed = (1.0 - trace) * values[t + 1] + trace * following
-        following = rewards[t] + torch.where(dones[t], 0.0, mixed)
-        returns[t] = following
-    return returns
