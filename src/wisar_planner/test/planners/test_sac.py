@@ -135,13 +135,14 @@ def test_the_model_can_be_given_by_its_path_and_is_read_again_when_it_changes(
     paper_problem, tmp_path
 ):
     shipped, path = load_model(find_model(DEFAULT_MODEL)), tmp_path / "mine.safetensors"
-    save_model(path, shipped.weights, {})
+    card = {"distribution": shipped.distribution}
+    save_model(path, shipped.weights, card)
     problem = paper_problem(8)
     mine = make_planner("sac", model=str(path))
     np.testing.assert_array_equal(
         mine.plan(problem).waypoints, make_planner("sac").plan(problem).waypoints
     )
-    save_model(path, {k: 0.5 * v for k, v in shipped.weights.items()}, {})
+    save_model(path, {k: 0.5 * v for k, v in shipped.weights.items()}, card)
     assert (mine.plan(problem).waypoints != make_planner("sac").plan(problem).waypoints).any()
 
 

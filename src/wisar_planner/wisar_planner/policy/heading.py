@@ -72,8 +72,8 @@ def directions_and_offsets(output: Array) -> tuple[Array, Array]:
 
 def _turn_in(offsets: Array, direction: Array) -> Array:
     xp = array_namespace(offsets)
-    offset = xp.take_along_axis(offsets, direction[:, None], axis=-1)[:, 0]
-    return wrapped(SPACING * xp.astype(direction, offsets.dtype) + offset)
+    search = xp.arange(offsets.shape[0], device=device(offsets))
+    return wrapped(SPACING * xp.astype(direction, offsets.dtype) + offsets[search, direction])
 
 
 def wrapped(turn: Array) -> Array:

@@ -118,4 +118,4 @@ def _matrices(ring: Array) -> Array:
 
 def _relu(xp: Any, x: Array) -> Array:
     # PyTorch's own is the fastest there.
-    return xp.relu(x) if hasattr(xp, "relu") else xp.maximum(x, 0.0)
+    return np.maximum(x, 0.0) if isinstance(x, np.ndarray) else xp.relu(x)
