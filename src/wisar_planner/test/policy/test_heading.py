@@ -3,7 +3,18 @@ import pytest
 import torch
 from scipy.interpolate import CubicHermiteSpline
 
-from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
+from wisar_planner.policy.heading import (
+    ACTOR_OUTPUTS,
+    DIRECTED,
+    DISTRIBUTIONS,
+    GAUSSIAN,
+    SPACING,
+    actor_distribution,
+    likeliest_turn,
+    random_turn,
+    value_at,
+    wrapped,
+)
 from wisar_planner.policy.observation import DIRECTIONS
 
 RING = np.arange(DIRECTIONS)
@@ -100,3 +111,49 @@ def test_numpy_and_torch_agree(values):
     action = np.random.default_rng(4).uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
     found = value_at(torch.tensor(values), torch.tensor(action))
     np.testing.assert_allclose(found.numpy(), value_at(values, action), atol=1e-6)
+
+
+def directed(logits, offsets):
+    return np.array([[logits], [offsets]], dtype=np.float32)
+
+
+@pytest.mark.parametrize("direction", [0, 1, 15, 16, 17, 31])
+@pytest.mark.parametrize("offset", [-3.0, 0.0, 0.4])
+def test_the_likeliest_direction_is_taken_with_its_own_offset(direction, offset):
+    offsets = np.where(direction == RING, offset, 9.0)
+    turn = likeliest_turn(directed(1.0 * (direction == RING), offsets), DIRECTED)[0]
+    expected = (direction + np.tanh(offset)) * 2.0 / DIRECTIONS
+    assert -1.0 <= turn <= 1.0
+    assert wrapped(turn - expected) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_two_good_ways_apart_are_not_averaged():
+    """Left or right alike, a Gaussian goes between them; a choice among directions does not."""
+    logits = 50.0 * ((RING == 4) | (RING == DIRECTIONS - 4))
+    assert likeliest_turn(output(logits), GAUSSIAN)[0] == pytest.approx(0.0, abs=1e-5)
+    assert abs(likeliest_turn(directed(logits, 0.0 * RING), DIRECTED)[0]) == pytest.approx(0.25)
+
+
+def test_random_turns_come_as_often_as_the_logits_say():
+    logits = np.where(RING == 3, np.log(3.0), np.where(RING == 20, 0.0, -30.0))
+    many = np.repeat(directed(logits, 0.0 * RING), 4000, axis=1)
+    turns = random_turn(many, DIRECTED, np.random.default_rng(5))
+    left = np.isclose(turns, 3 * SPACING)
+    assert np.isclose(turns[~left], 20 * SPACING - 2.0).all()
+    assert left.mean() == pytest.approx(0.75, abs=0.03)
+
+
+def test_random_gaussian_turns_spread_as_the_certainty_says():
+    many = np.repeat(output(50.0 * (RING == 2), 0.3), 4000, axis=1)
+    mean, log_std = actor_distribution(many)
+    turns = random_turn(many, GAUSSIAN, np.random.default_rng(5))
+    raw, spread = np.arctanh(turns.astype(np.float64)), float(np.exp(log_std[0]))
+    assert raw.mean() == pytest.approx(float(mean[0]), abs=4 * spread / np.sqrt(4000))
+    assert raw.std() == pytest.approx(spread, rel=0.05)
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_numpy_and_torch_turn_the_same(distribution):
+    raw = np.random.default_rng(6).normal(size=(ACTOR_OUTPUTS, 9, DIRECTIONS)).astype(np.float32)
+    found = likeliest_turn(torch.tensor(raw), distribution).numpy()
+    np.testing.assert_allclose(found, likeliest_turn(raw, distribution), atol=1e-6)

@@ -9,9 +9,18 @@ from safetensors.numpy import save
 
 from wisar_planner import InvalidInput
 from wisar_planner.policy import model as module
-from wisar_planner.policy.heading import ACTOR_OUTPUTS
-from wisar_planner.policy.model import DEFAULT_MODEL, find_model, load_model, save_model
-from wisar_planner.policy.network import initial_parameters
+from wisar_planner.policy.heading import (
+    ACTOR_OUTPUTS,
+    DIRECTED,
+    DISTRIBUTIONS,
+    GAUSSIAN,
+    SPACING,
+    likeliest_turn,
+    wrapped,
+)
+from wisar_planner.policy.model import DEFAULT_MODEL, Model, find_model, load_model, save_model
+from wisar_planner.policy.network import forward, initial_parameters
+from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 
 
 def weights():
@@ -61,6 +70,31 @@ def test_the_same_weights_give_the_same_file(path, tmp_path):
 def test_the_shipped_model_loads():
     found = load_model(find_model(DEFAULT_MODEL))
     assert found.weights["output"].shape[1] == ACTOR_OUTPUTS
+
+
+def test_a_card_tells_how_turns_are_distributed_and_older_ones_mean_gaussian(path):
+    assert load_model(path).distribution == GAUSSIAN
+    spoil_card(path, distribution=DIRECTED)
+    assert load_model(path).distribution == DIRECTED
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_a_model_turns_as_its_network_says(distribution):
+    model = Model(weights(), {"distribution": distribution})
+    rng = np.random.default_rng(4)
+    view = rng.random((3, DIRECTIONS, VIEW_WIDTH), dtype=np.float32)
+    shown = Observation(view, rng.random((3, NUMBERS), dtype=np.float32))
+    output = forward(model.weights, *shown)[0]
+    np.testing.assert_allclose(
+        model.turn(shown), likeliest_turn(output, distribution), rtol=1e-5, atol=1e-6
+    )
+    first, again, other = (model.turn(shown, np.random.default_rng(s)) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+    # Turned view, same turns: they are counted from the view's first direction.
+    turned = Observation(np.roll(view, 5, axis=1), shown.numbers)
+    apart = model.turn(turned) - model.turn(shown) - 5 * SPACING
+    np.testing.assert_allclose(wrapped(apart), 0.0, atol=1e-4)
 
 
 def test_a_model_is_found_by_its_path(path):
@@ -178,6 +212,10 @@ def half_the_bits(path):
         (card_without("interface"), "lacks interface"),
         (card_without("network"), "lacks network"),
         (card_with(weights_sha256=None), "lacks weights_sha256"),
+        (
+            card_with(distribution="cubic"),
+            "distributed as 'cubic'",
+        ),
         (card_with(network={}), "no network size"),
         (card_with(network={"channels": 4, "blocks": "2"}), "no network size"),
         (card_with(network={"channels": 4, "blocks": -1}), "no network size"),

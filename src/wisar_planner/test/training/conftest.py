@@ -10,6 +10,7 @@ KINDS = {
     "paper": WorldDistribution(),
     "varied": WorldDistribution(paper_share=0.0),
     "mixed": WorldDistribution(paper_share=0.5),
+    "fields": WorldDistribution(paper_share=0.2, field_share=0.7),
     "narrow": WorldDistribution(
         paper_share=0.0, sides=(3.0, 5.0), modes=1, radii=(0.1, 1.0), budgets=(1, 4)
     ),

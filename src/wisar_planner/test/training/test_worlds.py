@@ -7,7 +7,7 @@ import torch
 from wisar_planner import GaussianMixture
 from wisar_planner.policy.observation import cells_per_step
 from wisar_planner.policy.unseen_map import BLOCK, OUTSIDE
-from wisar_planner.training.worlds import WorldDistribution, random_worlds
+from wisar_planner.training.worlds import WorldDistribution, _fields, random_worlds
 
 
 def as_mixture(weights, means, deviations, turn):
@@ -95,6 +95,42 @@ def test_paper_worlds_have_the_papers_mixture(generator, mixtures):
     assert (share <= 1.0).all()
     assert share.mean() == pytest.approx(0.5, abs=0.03)
     assert share.std() == pytest.approx(12.0**-0.5, abs=0.02)
+
+
+def test_fields_are_smooth_noise_of_the_contrast_they_are_drawn_with(generator):
+    """Their logarithm has the deviation asked for, and the correlation of smoothed noise."""
+    side, smoothness, contrast = 192, torch.tensor([2.0, 5.0, 9.0]), torch.tensor([0.5, 1.0, 2.0])
+    fields = _fields(side, smoothness, contrast, generator).log().double().numpy()
+    np.testing.assert_allclose(fields.std(axis=(1, 2)), contrast, rtol=1e-3)
+    for field, sigma in zip(fields, smoothness.tolist(), strict=True):
+        scaled = (field - field.mean()) / field.std()
+        for apart in (1, int(sigma), int(2 * sigma)):
+            # The correlation of white noise that a Gaussian has smoothed.
+            expected = math.exp(-((apart / (2.0 * sigma)) ** 2))
+            for axis in (0, 1):
+                found = (scaled * np.roll(scaled, apart, axis=axis)).mean()
+                assert found == pytest.approx(expected, abs=0.15)
+
+
+def test_a_share_of_the_worlds_that_vary_are_fields(generator, mixtures):
+    distribution = WorldDistribution(paper_share=0.5, field_share=0.5)
+    worlds = random_worlds(60, distribution, generator)
+    fields = 0
+    for i, mixture in enumerate(zip(*mixtures[0], strict=True)):
+        pdm, factor = as_mixture(*mixture)
+        rows, columns = np.nonzero(worlds.density[i].numpy() >= 0.0)
+        expected = factor * pdm.density(np.stack([columns, rows], axis=-1) + 0.5)
+        found = worlds.density[i].numpy()[rows, columns]
+        fields += not np.allclose(found, expected, rtol=1e-2, atol=1e-3 * expected.max())
+    assert 6 <= fields <= 24
+
+
+def test_worlds_without_fields_are_drawn_as_if_there_were_none():
+    one, other = (
+        random_worlds(2, WorldDistribution(field_share=share), torch.Generator().manual_seed(2))
+        for share in (0.0, 1e-9)
+    )
+    torch.testing.assert_close(one.density, other.density, rtol=0.0, atol=0.0)
 
 
 def test_worlds_repeat_with_the_seed(distribution):

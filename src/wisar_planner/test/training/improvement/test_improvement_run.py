@@ -44,7 +44,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
 def test_the_best_policy_is_kept_with_a_card_that_tells_where_it_began(tmp_path, trained) -> None:
     run = trained(TINY, tmp_path)
     model = load_model(tmp_path / "tiny.safetensors")
-    shipped = load_model(find_model("sac")).card
+    shipped = load_model(find_model("sac_plain")).card
     assert model.card["validation"]["share_of_bound"] == pytest.approx(run.best_share, abs=1e-4)
     assert model.card["start"]["weights_sha256"] == shipped["weights_sha256"]
     assert model.card["config"]["horizon"] == 2
@@ -55,10 +55,11 @@ def test_the_command_improves_a_policy_and_tells_mistakes_in_one_line(tmp_path, 
     config = tmp_path / "tiny.yaml"
     config.write_text(json.dumps(content))  # JSON is YAML, too
     command = ["train", str(config), "--out", str(tmp_path / "run"), "--threads", "1"]
-    assert main([*command, "--start", "sac"]) == 0
+    assert main([*command, "--start", "sac_improved"]) == 0
     assert "of the bound" in capsys.readouterr().out
     for extra, words in (
         (["--start", "none.safetensors"], "there is no file"),
+        (["--start", "sac"], "improves policies with Gaussian turns"),
         (["--steps", "5"], "unknown field steps"),
     ):
         assert main([*command, *extra]) == 2

@@ -64,7 +64,7 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algorithm": "ppo"}, "algorithm must be improvement or paper_sac"),
+        ({"algorithm": "dqn"}, "algorithm must be improvement or ppo or paper_sac"),
         ({"speed": 3}, "unknown field speed"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"seed": -1}, "seed must be at least 0"),
@@ -156,7 +156,7 @@ def test_wisar_train_runs_it(tmp_path, capsys):
     assert card["validation"]["maps"] == 3
     assert main(["train", str(write(tmp_path)), *arguments]) == 0
     assert "continuing" in capsys.readouterr().out
-    assert main(["train", str(write(tmp_path, algorithm="ppo"))]) == 2
+    assert main(["train", str(write(tmp_path, algorithm="dqn"))]) == 2
     assert "algorithm must be" in capsys.readouterr().err
 
 

@@ -71,7 +71,7 @@ class ImprovementConfig:
 
     algorithm: str = ALGORITHM
     name: str = "sac"
-    start: str = "sac"
+    start: str = "sac_plain"
     seed: int = 0
     rounds: int = 4
     environments: int = 512

@@ -60,6 +60,7 @@ class PpoRun(Run[PpoConfig]):
             name: torch.optim.Adam(networks.values(), lr=config.rate, betas=_BETAS, fused=True)
             for name, networks in (("actor", self.actor), ("value", self._value))
         }
+        make_optimizer_tensors(self._optimizers)
         if start.distribution == DIRECTED and self._same_size():
             with torch.no_grad():
                 for name, weights in self._start_weights.items():
@@ -204,6 +205,5 @@ class PpoRun(Run[PpoConfig]):
         return found | dict(optimizer_tensors(self._optimizers))
 
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
-        make_optimizer_tensors(self._optimizers)
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
