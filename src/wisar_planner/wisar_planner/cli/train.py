@@ -17,7 +17,9 @@ examples:
   wisar train config/sac.yaml --out out/sac
       a policy by soft actor-critic; Ctrl-C and the same command again continues where it stopped
   wisar train config/improvement.yaml --start out/sac/sac.safetensors --out out/improved
-      a trained policy made better by policy iteration, as the shipped one was
+      a trained policy made better by policy iteration, on a CPU
+  wisar train config/ppo.yaml --start out/improved/sac.safetensors --device cuda --out out/ppo
+      a trained policy made better by proximal policy optimisation on a GPU, as the shipped one was
   wisar train config/sac.yaml --seed 1 --steps 100000 --out out/quick --threads 1
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
@@ -39,7 +41,7 @@ def add_parser(subparsers: Any) -> None:
         "train",
         help="train a search policy, or improve a trained one",
         description="Train a search policy by soft actor-critic, or improve a trained one by "
-        "policy iteration, as the configuration says.",
+        "policy iteration or proximal policy optimisation, as the configuration says.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -53,7 +55,7 @@ def add_parser(subparsers: Any) -> None:
         "--ablation", metavar="NAME", help="part to leave out, e.g. mlp or no_step_gain"
     )
     parser.add_argument(
-        "--start", metavar="MODEL", help="policy to improve (config/improvement.yaml)"
+        "--start", metavar="MODEL", help="policy to improve (improvement.yaml, ppo.yaml)"
     )
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument(

@@ -76,7 +76,7 @@ def read_curve(folder: Path) -> TrainingCurve:
     # An improvement begins where another training ended: it is a line of its own.
     parts = [
         config["name"],
-        "improved" if config.get("algorithm") == "improvement" else "",
+        {"improvement": "improved", "ppo": "ppo"}.get(config.get("algorithm", ""), ""),
         config.get("ablation", "").replace("_", " "),
     ]
     return TrainingCurve(

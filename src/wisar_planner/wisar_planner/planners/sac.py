@@ -29,10 +29,10 @@ MODEL_HELP = "Trained policy: name of a shipped one, or path of a .safetensors f
 
 @dataclass(frozen=True)
 class SacPolicy(OptionedPlanner):
-    """One flight of a policy trained by soft actor-critic (Haarnoja 2018, Ewers 2024).
+    """One flight of a trained policy, see docs/policy.md.
 
-    At each step the most likely turn is flown. Where the policy finds no whole step that stays in
-    the area, the greedy planner plans.
+    It began with soft actor-critic (Haarnoja 2018, Ewers 2024). At each step the most likely turn
+    is flown. Where the policy finds no whole step that stays in the area, the greedy planner plans.
     """
 
     name: ClassVar[str] = "sac"
