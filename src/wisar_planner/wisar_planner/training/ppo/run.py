@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from wisar_planner.policy.heading import ACTOR_OUTPUTS, DIRECTED, likeliest_turn
 from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.policy.network import forward, initial_parameters
 from wisar_planner.policy.observation import Observation
-from wisar_planner.training.improvement.networks import Networks, state_value
+from wisar_planner.training.environment import SearchEnvironment
+from wisar_planner.training.improvement.networks import Networks, Policy, state_value
 from wisar_planner.training.judging import Flights, fly_maps
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.experience import Experience, fly_window, make_environments
@@ -48,11 +50,15 @@ class PpoRun(Run[PpoConfig]):
 
     def __init__(self, config: PpoConfig, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
-        # Matrix products of 10 bits of mantissa are enough and several times as fast on a GPU.
-        torch.set_float32_matmul_precision("high")
+        if device.type == "cuda":
+            # Products of 10 bits of mantissa are enough and several times as fast there.
+            torch.backends.cuda.matmul.allow_tf32 = True
         start = load_model(find_model(config.start))
         self._start = start.card
-        self._start_weights = {k: torch.tensor(v, device=device) for k, v in start.weights.items()}
+        weights = {
+            name: torch.tensor(value, device=device) for name, value in start.weights.items()
+        }
+        self._teacher: Policy = partial(_likeliest, weights, start.distribution)
         rng = np.random.default_rng(config.seed)
         self.actor = self._networks(rng, ACTOR_OUTPUTS)
         self._value = self._networks(rng, 1)
@@ -61,10 +67,13 @@ class PpoRun(Run[PpoConfig]):
             for name, networks in (("actor", self.actor), ("value", self._value))
         }
         make_optimizer_tensors(self._optimizers)
-        if start.distribution == DIRECTED and self._same_size():
+        same_size = {k: v.shape for k, v in weights.items()} == {
+            k: v.shape for k, v in self.actor.items()
+        }
+        if start.distribution == DIRECTED and same_size:
             with torch.no_grad():
-                for name, weights in self._start_weights.items():
-                    self.actor[name].copy_(weights)
+                for name, value in weights.items():
+                    self.actor[name].copy_(value)
             self.imitation_steps = 0
         else:
             self.imitation_steps = config.imitation_steps
@@ -73,10 +82,6 @@ class PpoRun(Run[PpoConfig]):
         size = {"channels": self.config.channels, "blocks": self.config.blocks}
         made = initial_parameters(rng, networks=1, outputs=outputs, **size)
         return {k: torch.tensor(v, device=self.device, requires_grad=True) for k, v in made.items()}
-
-    def _same_size(self) -> bool:
-        theirs = {name: each.shape for name, each in self._start_weights.items()}
-        return theirs == {name: each.shape for name, each in self.actor.items()}
 
     def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
         c = self.config
@@ -97,26 +102,18 @@ class PpoRun(Run[PpoConfig]):
                 yield {name: float(np.mean(each)) for name, each in figures.items()}
                 figures.clear()
 
-    def _imitate(self, environments: list[Any]) -> dict[str, float]:
+    def _imitate(self, environments: list[SearchEnvironment]) -> dict[str, float]:
         c, done = self.config, self.steps / self.imitation_steps
-        distribution = self._start.get("distribution", "gaussian")
-
-        def teacher(shown: Observation) -> Tensor:
-            result: Tensor = likeliest_turn(
-                forward(self._start_weights, *shown)[0], str(distribution)
-            )
-            return result
-
         losses = [
             imitate_step(
-                each, self.actor, teacher, self._optimizers["actor"], c.imitation_rate, done
+                each, self.actor, self._teacher, self._optimizers["actor"], c.imitation_rate, done
             )
             for each in environments
         ]
         self.updates += len(losses)
         return {"imitation_loss": float(np.mean(losses))}
 
-    def _improve(self, environments: list[Any]) -> dict[str, float]:
+    def _improve(self, environments: list[SearchEnvironment]) -> dict[str, float]:
         """Fly a window of all searches and learn from it."""
         c = self.config
         began = self.imitation_steps + c.value_steps
@@ -163,19 +160,15 @@ class PpoRun(Run[PpoConfig]):
             torch.nn.utils.clip_grad_norm_(self.actor.values(), self.config.largest_gradient)
         optimizer.step()
 
-    @torch.no_grad()
-    def _turn(self, shown: Observation) -> Tensor:
-        result: Tensor = likeliest_turn(forward(self.actor, *shown)[0], DIRECTED)
-        return result
-
     def fly(self, maps: int, generator: torch.Generator) -> Flights:
         """Fly the present policy; see `Run.fly`."""
-        flights = fly_maps(self._turn, maps, generator)
+        policy = partial(_likeliest, self.actor, DIRECTED)
+        flights = fly_maps(policy, maps, generator)
         worlds = self.config.worlds
         if worlds.paper_share == 1.0:
             return flights
         others = fly_maps(
-            self._turn, maps // 2, generator, dataclasses.replace(worlds, paper_share=0.0)
+            policy, maps // 2, generator, dataclasses.replace(worlds, paper_share=0.0)
         )
         return flights._replace(figures={"other_worlds": float(others.share.mean())})
 
@@ -207,3 +200,10 @@ class PpoRun(Run[PpoConfig]):
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
+
+
+@torch.no_grad()
+def _likeliest(actor: Mapping[str, Tensor], distribution: str, shown: Observation) -> Tensor:
+    """Return the turns of a policy as planners fly them."""
+    result: Tensor = likeliest_turn(forward(actor, *shown)[0], distribution)
+    return result
