@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from wisar_planner.errors import InvalidInput
-
 if TYPE_CHECKING:
     import torch
 
@@ -25,6 +23,9 @@ def require(what: str, *modules: str) -> None:
         for module in modules:
             import_module(module)
     except ImportError:
+        # Not at the top: NumPy comes with it, and `wisar --help` imports this module.
+        from wisar_planner.errors import InvalidInput
+
         raise InvalidInput(
             f"{what}, which planning does not: run `make train-setup` first"
         ) from None
@@ -33,6 +34,8 @@ def require(what: str, *modules: str) -> None:
 def checked_device(name: str) -> torch.device:
     """Return the device of `--device`; raise InvalidInput where this machine has none such."""
     import torch
+
+    from wisar_planner.errors import InvalidInput
 
     try:
         device = torch.device(name)
