@@ -60,8 +60,8 @@ def test_help_answers_within_half_a_second():
 def test_help_imports_no_numerical_library():
     code = (
         "import sys; from wisar_planner.cli.main import build_parser; build_parser(); "
-        "print([m for m in ('numpy', 'numba', 'scipy', 'matplotlib', 'joblib', 'torch', 'rasterio', "
-        "'rich') if m in sys.modules])"
+        "print([m for m in ('numpy', 'numba', 'scipy', 'matplotlib', 'joblib', 'torch', "
+        "'rasterio', 'rich') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
