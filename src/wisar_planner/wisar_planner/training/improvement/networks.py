@@ -24,10 +24,18 @@ _FAN = (8.0, 14.0, 20.0, 27.0, 35.0, 45.0, 60.0, 90.0)
 
 
 def make_networks(
-    rng: np.random.Generator, *, networks: int, channels: int, blocks: int, device: torch.device
+    rng: np.random.Generator,
+    *,
+    networks: int,
+    channels: int,
+    blocks: int,
+    device: torch.device,
+    outputs: int = 1,
 ) -> Networks:
-    """Return random networks side by side with one output per direction."""
-    made = initial_parameters(rng, networks=networks, outputs=1, channels=channels, blocks=blocks)
+    """Return random networks side by side; see `initial_parameters`."""
+    made = initial_parameters(
+        rng, networks=networks, outputs=outputs, channels=channels, blocks=blocks
+    )
     return {k: torch.tensor(v, device=device, requires_grad=True) for k, v in made.items()}
 
 

@@ -14,10 +14,15 @@ from torch import Tensor
 
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, DIRECTED, likeliest_turn
 from wisar_planner.policy.model import find_model, load_model, save_model
-from wisar_planner.policy.network import forward, initial_parameters
+from wisar_planner.policy.network import forward
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
-from wisar_planner.training.improvement.networks import Networks, Policy, state_value
+from wisar_planner.training.improvement.networks import (
+    Networks,
+    Policy,
+    make_networks,
+    state_value,
+)
 from wisar_planner.training.judging import Flights, fly_maps
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.experience import Experience, fly_window, make_environments
@@ -79,9 +84,10 @@ class PpoRun(Run[PpoConfig]):
             self.imitation_steps = config.imitation_steps
 
     def _networks(self, rng: np.random.Generator, outputs: int) -> Networks:
-        size = {"channels": self.config.channels, "blocks": self.config.blocks}
-        made = initial_parameters(rng, networks=1, outputs=outputs, **size)
-        return {k: torch.tensor(v, device=self.device, requires_grad=True) for k, v in made.items()}
+        return make_networks(
+            rng, networks=1, outputs=outputs, channels=self.config.channels,
+            blocks=self.config.blocks, device=self.device,
+        )  # fmt: skip
 
     def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
         c = self.config
