@@ -310,3 +310,20 @@ def test_a_copter_of_ardupilot_stays_in_auto_where_it_cannot_be_armed():
     assert bench.arm() == mav.MAV_RESULT_FAILED
     assert bench.command(mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0) == OK
     assert bench.arm() == OK
+
+
+def test_a_mission_that_was_flown_begins_anew_in_auto():
+    """Not with its last item, the return, which would land and disarm it at once."""
+    bench = Bench("ardupilot")
+    bench.upload(mission())
+    assert bench.arm() == OK
+    assert bench.start() == OK
+    bench.step(120.0)
+    assert bench.command(mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0) == OK
+    assert bench.arm() == OK
+    assert bench.command(mav.MAV_CMD_DO_SET_MODE, 1.0, 3.0) == OK
+    bench.step(1.0)  # time that may pass before the start is asked for
+    assert bench.autopilot.vehicle.armed
+    assert bench.start() == OK
+    bench.step(5.0)
+    assert bench.autopilot.vehicle.flying

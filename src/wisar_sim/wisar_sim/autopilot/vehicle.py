@@ -92,9 +92,11 @@ class Vehicle:
             self.set_mode(Mode.HOLD)
 
     def set_mode(self, mode: Mode) -> None:
-        """Change what the vehicle does."""
+        """Change what the vehicle does; a mission flown to its end begins anew."""
+        if mode is Mode.MISSION and self._mission_ended:
+            self._mission_ended = False
+            self._go_to(0)
         self.mode = mode
-        self._mission_ended = False
         self._target = None
         self._hold_at = None
         self._waited_s = 0.0
@@ -102,6 +104,7 @@ class Vehicle:
     def restart_mission(self, first: int = 0) -> None:
         """Fly the mission from an item on."""
         self._speed = self.body.airframe.cruise_speed
+        self._mission_ended = False
         self._go_to(first)
         self.set_mode(Mode.MISSION)
 
