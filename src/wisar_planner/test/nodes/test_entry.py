@@ -53,6 +53,24 @@ CASES = {
         ),
         "closed\nworked\n",
     ),
+    "busy": (  # other callbacks go on coming while one is at work
+        NODE.format(
+            early="""
+        import os, signal, time
+        from rclpy.callback_groups import ReentrantCallbackGroup
+
+        def work():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.5)
+            print("worked", flush=True)
+
+        group = ReentrantCallbackGroup()
+        self.create_timer(0.002, lambda: None, callback_group=group)
+        self.timer = self.create_timer(0.1, lambda: (self.timer.cancel(), work()))""",
+            late="pass",
+        ),
+        "closed\nworked\n",
+    ),
     "closing": (
         NODE.format(
             early=f"import os, signal; {WHEN_IDLE}",

@@ -47,8 +47,14 @@ class _Executor(MultiThreadedExecutor):
     7.1.5): the node was destroyed under its callbacks, which then failed or never ended.
     """
 
+    def stop(self) -> None:
+        """Begin no more callbacks: `spin` returns."""
+        with self._shutdown_lock:
+            self._is_shutdown = True
+            self._guard.trigger()
+
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Begin no more callbacks and wait for those at work; return whether they ended."""
+        """Wait for callbacks at work, after `stop` and `spin`; return whether they ended."""
         self._executor.shutdown(wait=False, cancel_futures=True)
         ended = self._work_tracker.wait(timeout_sec)
         return super().shutdown(timeout_sec) and ended
@@ -115,8 +121,9 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(node, "close"):
         cast(Closeable, node).close()
-    ended = executor.shutdown(timeout_sec=_PATIENCE_S)
+    # The pool of threads must not end before what hands it work.
+    executor.stop()
     spinning.join(_PATIENCE_S)
-    if ended and not spinning.is_alive():
+    if not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S):
         node.destroy_node()
     return failures[0] if failures else None
