@@ -9,11 +9,11 @@ import torch
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.training_curves import TrainingCurve, draw, markdown, read_curve
-from wisar_planner.training.config import TrainingConfig
 from wisar_planner.training.judging import fly_maps
 from wisar_planner.training.records import Validation, write_checkpoint
-from wisar_planner.training.sac import SacSettings
-from wisar_planner.training.sac_run import SacRun
+from wisar_planner.training.sac.config import SacConfig
+from wisar_planner.training.sac.learner import SacSettings
+from wisar_planner.training.sac.run import SacRun
 from wisar_planner.training.streams import fresh_generator
 
 
@@ -74,7 +74,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path) -> None:
 
 
 def test_a_policy_is_judged_on_fresh_maps_from_the_folder_of_its_run(tmp_path, capsys) -> None:
-    config = TrainingConfig(
+    config = SacConfig(
         steps=80, environments=4, warm_up_steps=32, updates=0.5, batch=8, replay=128, seed=3,
         validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
     )  # fmt: skip

@@ -152,8 +152,8 @@ class _Learner:
     def __init__(self) -> None:
         import torch
 
-        from wisar_planner.training.replay import Replay
-        from wisar_planner.training.sac import Sac, SacSettings
+        from wisar_planner.training.sac.learner import Sac, SacSettings
+        from wisar_planner.training.sac.replay import Replay
 
         torch.set_num_threads(1)
         settings = SacSettings(channels=32, critic_rate=1.5e-3, actor_rate=7.5e-4)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import TrainingConfig, build, read_yaml
+from wisar_planner.training.config import build, read_yaml
 from wisar_planner.training.improvement import config as improvement
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.run import ImprovementRun
@@ -20,10 +20,11 @@ from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.run import PpoRun
 from wisar_planner.training.records import read_counters
 from wisar_planner.training.run import Run
-from wisar_planner.training.sac_run import SacRun
+from wisar_planner.training.sac.config import SacConfig
+from wisar_planner.training.sac.run import SacRun
 
-Config = TrainingConfig | ImprovementConfig | PpoConfig | PaperConfig
-AnyRun = Run[TrainingConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[PaperConfig]
+Config = SacConfig | ImprovementConfig | PpoConfig | PaperConfig
+AnyRun = Run[SacConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[PaperConfig]
 
 _CONFIGS: dict[str, type[ImprovementConfig] | type[PpoConfig] | type[PaperConfig]] = {
     improvement.ALGORITHM: ImprovementConfig,
@@ -39,7 +40,7 @@ def read_any_config(path: Path, **overrides: Any) -> Config:
     ----------
     path : Path
         The file; fields that it does not name keep their defaults. Without the field `algorithm`
-        it is for `training.sac_run`.
+        it is for `training.sac`.
     **overrides
         Fields that replace those of the file.
 
@@ -58,7 +59,7 @@ def _make_config(content: dict[str, Any], where: str) -> Config:
             f"{where}: algorithm must be {' or '.join(_CONFIGS)}, or left out for soft "
             f"actor-critic, not {content['algorithm']!r}"
         )
-    kind = _CONFIGS[content["algorithm"]] if "algorithm" in content else TrainingConfig
+    kind = _CONFIGS[content["algorithm"]] if "algorithm" in content else SacConfig
     config: Config = build(kind, content, where)
     return config
 

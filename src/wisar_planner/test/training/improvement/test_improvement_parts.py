@@ -8,19 +8,20 @@ import pytest
 import torch
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.policy.heading import wrapped
+from wisar_planner.policy.heading import GAUSSIAN, wrapped
 from wisar_planner.policy.model import find_model, load_model
 from wisar_planner.policy.network import MIRROR
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
+from wisar_planner.training import networks
 from wisar_planner.training.environment import SearchEnvironment
-from wisar_planner.training.improvement import branches, networks
+from wisar_planner.training.improvement import branches
 from wisar_planner.training.improvement.branches import Labels, fly_branches
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.critics import learn_critics
 from wisar_planner.training.improvement.imitation import imitate
-from wisar_planner.training.improvement.networks import corrected_turn, likeliest_turn
 from wisar_planner.training.improvement.value import learn_value
-from wisar_planner.training.sac import Sac, SacSettings
+from wisar_planner.training.networks import corrected_turn, likeliest_turn
+from wisar_planner.training.sac.learner import Sac, SacSettings
 from wisar_planner.training.worlds import WorldDistribution
 
 CPU = torch.device("cpu")
@@ -62,7 +63,7 @@ def test_the_value_learns_what_the_policy_gains(shipped, value, generator) -> No
     """Searches of at most nine steps: their gains are known after that many."""
     short = WorldDistribution(paper_share=0.0, sides=(10.0, 12.0), budgets=(4, 9))
     config = ImprovementConfig(environments=16, valued_steps=4_096, worlds=short, batch=16)
-    policy = partial(likeliest_turn, shipped)
+    policy = partial(likeliest_turn, shipped, GAUSSIAN)
     learn_value(config, policy, value, generator, nothing)
     fresh = SearchEnvironment(64, short, torch.Generator().manual_seed(9))
     with torch.no_grad():
@@ -78,7 +79,7 @@ def test_the_value_learns_what_the_policy_gains(shipped, value, generator) -> No
 
 def test_branches_gain_what_their_turns_gain(actor, value, generator, monkeypatch) -> None:
     config = ImprovementConfig(environments=32, labels=8, branches=4, horizon=3)
-    policy = partial(likeliest_turn, actor)
+    policy = partial(likeliest_turn, actor, GAUSSIAN)
     states = []
 
     class Spy(SearchEnvironment):
@@ -107,7 +108,9 @@ def test_branches_gain_what_their_turns_gain(actor, value, generator, monkeypatc
 
 def test_branches_turn_to_both_sides_within_the_deviations(actor, value, generator) -> None:
     config = ImprovementConfig(environments=64, labels=128, horizon=1, deviations=(10.0, 40.0))
-    labels = fly_branches(config, partial(likeliest_turn, actor), value, generator, nothing)
+    labels = fly_branches(
+        config, partial(likeliest_turn, actor, GAUSSIAN), value, generator, nothing
+    )
     deviation = wrapped(labels.turns[:, 1:] - labels.turns[:, :1]) * 180.0
     assert float(deviation.abs().min()) > 9.9
     assert float(deviation.abs().max()) < 40.1
@@ -160,7 +163,7 @@ def test_the_correction_takes_a_better_turn_and_leaves_what_is_nearly_as_good(
 ) -> None:
     shown, _ = observations(16, generator)
     with torch.no_grad():
-        own = likeliest_turn(actor, shown)
+        own = likeliest_turn(actor, GAUSSIAN, shown)
     wanted = wrapped(own + 45.0 / 180.0)
 
     def mean_value(_critics, _shown):
@@ -170,9 +173,8 @@ def test_the_correction_takes_a_better_turn_and_leaves_what_is_nearly_as_good(
         return (0.3 / (1.0 - math.cos(math.pi / 4.0))) * bump
 
     monkeypatch.setattr(networks, "mean_value", mean_value)
-    with torch.no_grad():
-        taken = corrected_turn(actor, {}, shown, margin=0.2)
-        kept = corrected_turn(actor, {}, shown, margin=0.4)
+    taken = corrected_turn(own, {}, shown, margin=0.2)
+    kept = corrected_turn(own, {}, shown, margin=0.4)
     assert torch.allclose(wrapped(taken - wanted), torch.zeros(16), atol=0.02)
     assert torch.equal(kept, own)
 
@@ -181,18 +183,18 @@ def test_the_actor_learns_to_turn_as_its_teacher(actor, shipped, generator) -> N
     config = ImprovementConfig(
         environments=16, imitated_steps=640, imitation_updates=200, batch=64, imitation_rate=1e-2
     )
-    teacher = partial(likeliest_turn, shipped)
+    teacher = partial(likeliest_turn, shipped, GAUSSIAN)
 
     def deviation() -> float:
         fresh = SearchEnvironment(64, config.worlds, torch.Generator().manual_seed(4))
         with torch.no_grad():
             fresh.step(teacher(fresh.observe()))
             shown = fresh.observe()
-            apart = wrapped(likeliest_turn(actor, shown) - teacher(shown))
+            apart = wrapped(likeliest_turn(actor, GAUSSIAN, shown) - teacher(shown))
         return float(apart.abs().median()) * 180.0
 
     before = deviation()
-    imitate(config, actor, teacher, generator, nothing, nothing)
+    imitate(config, actor, GAUSSIAN, teacher, generator, nothing, nothing)
     assert deviation() < 0.5 * before
 
 

@@ -8,10 +8,10 @@ import yaml
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.algorithms import read_any_config
-from wisar_planner.training.config import TrainingConfig
 from wisar_planner.training.paper import throughput
 from wisar_planner.training.paper.config import PaperConfig, read_paper_config
 from wisar_planner.training.paper.run import PaperRun
+from wisar_planner.training.sac.config import SacConfig
 
 CONFIG = Path(__file__).resolve().parents[5] / "config"
 TINY = {
@@ -56,7 +56,7 @@ def test_the_file_in_config_is_the_papers():
 def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
     path = tmp_path / "sac.yaml"
     path.write_text("steps: 1234")
-    assert isinstance(read_any_config(path, seed=3), TrainingConfig)
+    assert isinstance(read_any_config(path, seed=3), SacConfig)
     with pytest.raises(InvalidInput, match="must have `algorithm: paper_sac`"):
         read_paper_config(path)
 

@@ -12,7 +12,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, DIRECTED, SPACING, likeliest_turn, wrapped
 from wisar_planner.policy.network import MIRROR, forward
 from wisar_planner.policy.observation import DIRECTIONS, Observation
-from wisar_planner.training.improvement.networks import optimizer_of, state_value
+from wisar_planner.training.networks import optimizer_of, state_value
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.experience import Experience, fly_window, make_environments
 from wisar_planner.training.ppo.imitation import imitate_step

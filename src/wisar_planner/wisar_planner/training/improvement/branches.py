@@ -11,7 +11,7 @@ from torch import Tensor
 from wisar_planner.policy.heading import wrapped
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
-from wisar_planner.training.improvement.networks import (
+from wisar_planner.training.networks import (
     Networks,
     Policy,
     mirrored,

@@ -6,6 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training.config import (
+    check_algorithm,
+    check_at_least,
+    check_positive,
+    check_share,
+)
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -60,9 +66,6 @@ class ImprovementConfig:
         probable ground.
     imitated_steps : int
         Steps per round that the policy flies to imitate its correction there.
-    tolerance : float
-        Deviation from the corrected turn up to which the policy mends it as a square error,
-        degrees; beyond it the error grows as a logarithm.
     validation_maps : int
         Maps of the paper's setup that the policy is judged on.
     worlds : WorldDistribution
@@ -93,41 +96,35 @@ class ImprovementConfig:
     batch: int = 256
     margin: float = 0.02
     imitated_steps: int = 102_400
-    tolerance: float = 4.0
     validation_maps: int = 512
     worlds: WorldDistribution = field(default_factory=WorldDistribution)
 
     def __post_init__(self) -> None:
-        if self.algorithm != ALGORITHM:
-            raise InvalidInput(f"algorithm must be {ALGORITHM}, not {self.algorithm!r}")
+        check_algorithm(self.algorithm, ALGORITHM)
         check_seed(self.seed)
-        for name, least in (
-            ("rounds", 1),
-            ("environments", 1),
-            ("valued_steps", 1),
-            ("labels", 1),
-            ("remembered_labels", self.labels),
-            ("branches", 2),
-            ("horizon", 1),
-            ("critics", 1),
-            ("channels", 1),
-            ("blocks", 1),
-            ("critic_updates", 1),
-            ("imitation_updates", 1),
-            ("batch", 1),
-            ("imitated_steps", 1),
-            ("validation_maps", 1),
-        ):
-            if not getattr(self, name) >= least:
-                raise InvalidInput(f"{name} must be at least {least}, not {getattr(self, name)}")
-        for name in ("critic_rate", "imitation_rate", "value_rate", "tolerance"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
+        check_at_least(
+            self,
+            rounds=1,
+            environments=1,
+            valued_steps=1,
+            labels=1,
+            remembered_labels=self.labels,
+            branches=2,
+            horizon=1,
+            critics=1,
+            channels=1,
+            blocks=1,
+            critic_updates=1,
+            imitation_updates=1,
+            batch=1,
+            imitated_steps=1,
+            validation_maps=2,
+        )
+        check_positive(self, "critic_rate", "imitation_rate", "value_rate")
+        check_share(self, "trace")
         low, high = self.deviations
         if not 0.0 < low <= high <= 180.0:
             raise InvalidInput("deviations must be two rising numbers above 0, at most 180")
-        if not 0.0 <= self.trace <= 1.0:
-            raise InvalidInput(f"trace must be from 0 to 1, not {self.trace}")
         if not 0.0 <= self.margin < math.inf:
             raise InvalidInput(f"margin must be at least 0 and finite, not {self.margin}")
 

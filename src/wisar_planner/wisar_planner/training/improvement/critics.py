@@ -12,7 +12,7 @@ from wisar_planner.policy.heading import value_at
 from wisar_planner.policy.network import forward
 from wisar_planner.training.improvement.branches import Labels
 from wisar_planner.training.improvement.config import ImprovementConfig
-from wisar_planner.training.improvement.networks import (
+from wisar_planner.training.networks import (
     Networks,
     learn,
     make_networks,

@@ -7,11 +7,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.heading import wrapped
+from wisar_planner.policy.network import forward
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
 from wisar_planner.training.environment import SearchEnvironment
+from wisar_planner.training.imitation_loss import imitation_loss
 from wisar_planner.training.improvement.config import ImprovementConfig
-from wisar_planner.training.improvement.networks import (
+from wisar_planner.training.networks import (
     Networks,
     Policy,
     learn,
@@ -24,6 +25,7 @@ from wisar_planner.training.improvement.networks import (
 def imitate(
     config: ImprovementConfig,
     actor: Networks,
+    distribution: str,
     teacher: Policy,
     generator: torch.Generator,
     on_steps: Callable[[int], None],
@@ -37,6 +39,8 @@ def imitate(
         The configuration.
     actor : networks
         Learns in place.
+    distribution : str
+        How its turns are distributed, see `policy.heading`.
     teacher : callable
         The policy to imitate.
     generator : torch.Generator
@@ -59,12 +63,10 @@ def imitate(
             with torch.no_grad():
                 shown = environment.observe()
                 states.add(shown, teacher(shown))
-                environment.step(likeliest_turn(actor, shown))
+                environment.step(likeliest_turn(actor, distribution, shown))
             on_steps(config.environments)
         shown, target = states.sample(config.batch, generator)
-        turn = likeliest_turn(actor, shown)
-        deviation = wrapped(turn - target) * (180.0 / config.tolerance)
-        loss = torch.log1p(deviation.square()).mean()
+        loss = imitation_loss(forward(actor, *shown)[0], distribution, target)
         learn(optimizer, loss, config.imitation_rate, update / config.imitation_updates)
         losses.append(loss.detach())
         on_update()

@@ -9,7 +9,7 @@ import torch
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.improvement.config import ImprovementConfig
-from wisar_planner.training.improvement.networks import (
+from wisar_planner.training.networks import (
     Networks,
     Policy,
     learn,

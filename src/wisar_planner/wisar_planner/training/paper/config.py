@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import build, read_yaml
+from wisar_planner.training.config import build, check_algorithm, check_at_least, read_yaml
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
@@ -69,20 +69,18 @@ class PaperConfig:
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     def __post_init__(self) -> None:
-        if self.algorithm != ALGORITHM:
-            raise InvalidInput(f"algorithm must be {ALGORITHM}, not {self.algorithm!r}")
+        check_algorithm(self.algorithm, ALGORITHM)
         check_seed(self.seed)
-        for name in (
-            "steps",
-            "environments",
-            "train_every",
-            "gradient_steps",
-            "buffer_size",
-            "validation_maps",
-            "validation_every",
-        ):
-            if not getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_at_least(
+            self,
+            steps=1,
+            environments=1,
+            train_every=1,
+            gradient_steps=1,
+            buffer_size=1,
+            validation_maps=1,
+            validation_every=1,
+        )
         if self.learning_starts < 0:
             raise InvalidInput(f"learning_starts must not be negative, not {self.learning_starts}")
 

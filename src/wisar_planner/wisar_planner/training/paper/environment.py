@@ -11,6 +11,7 @@ from torch import Tensor
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.observation import reference_density
 from wisar_planner.policy.unseen_map import OUTSIDE, UnseenMap
+from wisar_planner.training.config import check_at_least
 from wisar_planner.training.paper.observation import Layout, is_inside, observe
 from wisar_planner.training.worlds import (
     PAPER_DEVIATION,
@@ -54,9 +55,7 @@ class TaskSettings:
     w_0: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("waypoints", "gaussians"):
-            if not getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_at_least(self, waypoints=1, gaussians=1)
         for name in ("epsilon", "w_oob", "w_r", "w_0"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training import squashed_gaussian
+from wisar_planner.training.config import check_at_least
 from wisar_planner.training.paper.observation import Layout
+from wisar_planner.training.sac import squashed_gaussian
 
 # Limits of the logarithm of the standard deviation, those of Stable-Baselines3.
 _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0
@@ -52,9 +53,7 @@ class NetworkSettings:
     scalar_features: int = 16
 
     def __post_init__(self) -> None:
-        for name in ("layers", "width", "path_features", "pdm_features", "scalar_features"):
-            if not getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_at_least(self, layers=1, width=1, path_features=1, pdm_features=1, scalar_features=1)
         if self.path_extractor not in PATH_EXTRACTORS:
             raise InvalidInput(
                 f"path_extractor must be one of {', '.join(PATH_EXTRACTORS)}, "

@@ -6,6 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training.config import (
+    check_algorithm,
+    check_at_least,
+    check_positive,
+    check_share,
+)
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -89,29 +95,24 @@ class PpoConfig:
     worlds: WorldDistribution = field(default_factory=WorldDistribution)
 
     def __post_init__(self) -> None:
-        if self.algorithm != ALGORITHM:
-            raise InvalidInput(f"algorithm must be {ALGORITHM}, not {self.algorithm!r}")
+        check_algorithm(self.algorithm, ALGORITHM)
         check_seed(self.seed)
-        for name, least in (
-            ("imitation_steps", 1),
-            ("value_steps", 1),
-            ("steps", self.imitation_steps + self.value_steps),
-            ("environments", 1),
-            ("window", 1),
-            ("batch", 1),
-            ("channels", 1),
-            ("blocks", 1),
-            ("validation_maps", 2),
-            ("validation_every", 1),
-        ):
-            if not getattr(self, name) >= least:
-                raise InvalidInput(f"{name} must be at least {least}, not {getattr(self, name)}")
-        for name in ("rate", "value_rate", "imitation_rate", "clip", "largest_gradient"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
+        check_at_least(
+            self,
+            imitation_steps=1,
+            value_steps=1,
+            steps=self.imitation_steps + self.value_steps,
+            environments=1,
+            window=1,
+            batch=1,
+            channels=1,
+            blocks=1,
+            validation_maps=2,
+            validation_every=1,
+        )
+        check_positive(self, "rate", "value_rate", "imitation_rate", "clip", "largest_gradient")
+        check_share(self, "trace")
         if not all(0.0 < noise <= 1.0 for noise in self.noise):
             raise InvalidInput(f"noise must be above 0 and at most 1, not {self.noise}")
         if not all(math.isfinite(weight) for weight in self.entropy):
             raise InvalidInput(f"entropy must be finite, not {self.entropy}")
-        if not 0.0 <= self.trace <= 1.0:
-            raise InvalidInput(f"trace must be from 0 to 1, not {self.trace}")

@@ -12,7 +12,7 @@ from torch import Tensor
 from wisar_planner.policy.network import forward
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
-from wisar_planner.training.improvement.networks import Networks, mirrored, state_value
+from wisar_planner.training.networks import Networks, mirrored, state_value
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.turns import log_likelihood, random_turns
 from wisar_planner.training.returns import trace_returns

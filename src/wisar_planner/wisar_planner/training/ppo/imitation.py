@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
-from wisar_planner.policy.heading import (
-    DIRECTED,
-    SPACING,
-    directions_and_offsets,
-    likeliest_turn,
-    wrapped,
-)
+from wisar_planner.policy.heading import DIRECTED
 from wisar_planner.policy.network import forward
-from wisar_planner.policy.observation import DIRECTIONS, Observation
+from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
-from wisar_planner.training.improvement.networks import Networks, Policy, learn, mirrored
-
-# Directions within this many of the wanted turn share its likelihood (standard deviation), and
-# those that are nearer than one have an offset that leads to it.
-_BLUR = 0.4
-_OFFSET_WEIGHT = 5.0
+from wisar_planner.training.imitation_loss import imitation_loss
+from wisar_planner.training.networks import Networks, Policy, learn, likeliest_turn, mirrored
 
 
 def imitate_step(
@@ -57,18 +46,8 @@ def imitate_step(
         wanted = teacher(shown)
     flip = torch.rand(len(wanted), generator=generator, device=wanted.device) < 0.5
     view, turn = mirrored(shown.view, wanted, flip)
-    loss = _loss(forward(actor, *Observation(view, shown.numbers))[0], turn)
+    loss = imitation_loss(forward(actor, *Observation(view, shown.numbers))[0], DIRECTED, turn)
     learn(optimizer, loss, rate, done)
     with torch.no_grad():
-        environment.step(likeliest_turn(forward(actor, *shown)[0], DIRECTED))
+        environment.step(likeliest_turn(actor, DIRECTED, shown))
     return float(loss.detach())
-
-
-def _loss(output: Tensor, wanted: Tensor) -> Tensor:
-    logits, offsets = directions_and_offsets(output)
-    directions = SPACING * torch.arange(DIRECTIONS, device=wanted.device)
-    apart = wrapped(wanted[:, None] - directions) / SPACING
-    likelihood = torch.softmax(-0.5 * (apart / _BLUR).square(), dim=-1)
-    surprise = -(likelihood * torch.log_softmax(logits, dim=-1)).sum(dim=-1)
-    missed = ((apart.abs() < 1.0) * (offsets / SPACING - apart).abs()).sum(dim=-1)
-    return (surprise + _OFFSET_WEIGHT * missed).mean()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,58 +11,48 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.heading import ACTOR_OUTPUTS, DIRECTED, likeliest_turn
-from wisar_planner.policy.model import find_model, load_model, save_model
+from wisar_planner.policy.heading import ACTOR_OUTPUTS, DIRECTED
 from wisar_planner.policy.network import forward
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training.environment import SearchEnvironment
-from wisar_planner.training.improvement.networks import (
+from wisar_planner.training.networks import (
     Networks,
     Policy,
+    likeliest_turn,
     make_networks,
     state_value,
 )
-from wisar_planner.training.judging import Flights, fly_maps
+from wisar_planner.training.policy_run import PolicyRun
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.experience import Experience, fly_window, make_environments
 from wisar_planner.training.ppo.imitation import imitate_step
 from wisar_planner.training.ppo.turns import Turns, log_likelihood
-from wisar_planner.training.records import (
-    Validation,
-    card_of,
-    make_optimizer_tensors,
-    optimizer_tensors,
-)
-from wisar_planner.training.run import OnProgress, Run
+from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
+from wisar_planner.training.run import OnProgress
 
 # Decay of Adam's means: shorter memories than usual, as what is learned from changes.
 _BETAS = (0.9, 0.98)
 
 
-class PpoRun(Run[PpoConfig]):
-    """A run of proximal policy optimisation; see `Run`.
+class PpoRun(PolicyRun[PpoConfig]):
+    """A run of proximal policy optimisation; see `PolicyRun`.
 
     First the start is imitated, unless it is of the same distribution and size; then the value of
     states is learned, then both policy and value. When a run goes on from a checkpoint, its
     searches begin anew: thousands of maps are too much to keep.
-
-    Raises
-    ------
-    InvalidInput
-        When the policy to start from cannot be loaded.
     """
+
+    algorithm = "proximal policy optimisation"
 
     def __init__(self, config: PpoConfig, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
         if device.type == "cuda":
             # Products of 10 bits of mantissa are enough and several times as fast there.
             torch.backends.cuda.matmul.allow_tf32 = True
-        start = load_model(find_model(config.start))
-        self._start = start.card
-        weights = {
-            name: torch.tensor(value, device=device) for name, value in start.weights.items()
-        }
-        self._teacher: Policy = partial(_likeliest, weights, start.distribution)
+        self._teacher: Policy = partial(
+            likeliest_turn, self._start_weights, self._start.distribution
+        )
+        self._distribution = DIRECTED
         rng = np.random.default_rng(config.seed)
         self.actor = self._networks(rng, ACTOR_OUTPUTS)
         self._value = self._networks(rng, 1)
@@ -72,16 +61,16 @@ class PpoRun(Run[PpoConfig]):
             for name, networks in (("actor", self.actor), ("value", self._value))
         }
         make_optimizer_tensors(self._optimizers)
-        same_size = {k: v.shape for k, v in weights.items()} == {
-            k: v.shape for k, v in self.actor.items()
-        }
-        if start.distribution == DIRECTED and same_size:
-            with torch.no_grad():
-                for name, value in weights.items():
-                    self.actor[name].copy_(value)
+        shapes = [
+            {name: each.shape for name, each in networks.items()}
+            for networks in (self.actor, self._start_weights)
+        ]
+        self.imitation_steps = config.imitation_steps
+        if self._start.distribution == DIRECTED and shapes[0] == shapes[1]:
             self.imitation_steps = 0
-        else:
-            self.imitation_steps = config.imitation_steps
+            with torch.no_grad():
+                for name, value in self._start_weights.items():
+                    self.actor[name].copy_(value)
 
     def _networks(self, rng: np.random.Generator, outputs: int) -> Networks:
         return make_networks(
@@ -166,38 +155,6 @@ class PpoRun(Run[PpoConfig]):
             torch.nn.utils.clip_grad_norm_(self.actor.values(), self.config.largest_gradient)
         optimizer.step()
 
-    def fly(self, maps: int, generator: torch.Generator) -> Flights:
-        """Fly the present policy; see `Run.fly`."""
-        policy = partial(_likeliest, self.actor, DIRECTED)
-        flights = fly_maps(policy, maps, generator)
-        worlds = self.config.worlds
-        if worlds.paper_share == 1.0:
-            return flights
-        others = fly_maps(
-            policy, maps // 2, generator, dataclasses.replace(worlds, paper_share=0.0)
-        )
-        return flights._replace(figures={"other_worlds": float(others.share.mean())})
-
-    def _score(self, result: Validation) -> float:
-        share, others = self.config.worlds.paper_share, result.figures.get("other_worlds", 0.0)
-        return share * result.share + (1.0 - share) * others
-
-    def _save_model(self, path: Path, result: Validation) -> None:
-        weights = {name: value.detach().cpu().numpy() for name, value in self.actor.items()}
-        names = ("algorithm", "config", "training", "start", "distribution", "weights_sha256")
-        card = {
-            "what": "search policy, one of 32 directions with an offset each; see docs/policy.md",
-            **card_of(self.plain_config(), result, self.config.validation_maps, self.device),
-            "algorithm": "proximal policy optimisation from another policy (start)",
-            "distribution": DIRECTED,
-            "start": {name: self._start[name] for name in names if name in self._start},
-        }
-        if "other_worlds" in result.figures:
-            card["validation"]["share_of_bound_other_worlds"] = round(
-                result.figures["other_worlds"], 4
-            )
-        save_model(path, weights, card)
-
     def _tensors(self) -> dict[str, Tensor]:
         found = {f"actor.{name}": each.detach() for name, each in self.actor.items()}
         found |= {f"value.{name}": each.detach() for name, each in self._value.items()}
@@ -206,10 +163,3 @@ class PpoRun(Run[PpoConfig]):
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
-
-
-@torch.no_grad()
-def _likeliest(actor: Mapping[str, Tensor], distribution: str, shown: Observation) -> Tensor:
-    """Return the turns of a policy as planners fly them."""
-    result: Tensor = likeliest_turn(forward(actor, *shown)[0], distribution)
-    return result

@@ -7,13 +7,13 @@ import torch
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import load_model
-from wisar_planner.training.config import TrainingConfig, read_config
-from wisar_planner.training.sac import SacSettings
-from wisar_planner.training.sac_run import SacRun
+from wisar_planner.training.sac.config import SacConfig, read_config
+from wisar_planner.training.sac.learner import SacSettings
+from wisar_planner.training.sac.run import SacRun
 from wisar_planner.training.worlds import WorldDistribution
 
 CPU = torch.device("cpu")
-TINY = TrainingConfig(
+TINY = SacConfig(
     name="tiny", steps=160, environments=4, warm_up_steps=32, updates=0.75, batch=8, replay=128,
     validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
     worlds=WorldDistribution(paper_share=0.5, sides=(10.0, 12.0), budgets=(5, 9)),

@@ -1,4 +1,4 @@
-"""The networks of an improvement, all of them ring networks, and what they say."""
+"""Ring networks that learn, what they say, and how they learn."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from wisar_planner.policy import heading
-from wisar_planner.policy.heading import GAUSSIAN, value_at, wrapped
+from wisar_planner.policy.heading import value_at, wrapped
 from wisar_planner.policy.network import MIRROR, forward, initial_parameters
 from wisar_planner.policy.observation import Observation
 
@@ -39,9 +39,9 @@ def make_networks(
     return {k: torch.tensor(v, device=device, requires_grad=True) for k, v in made.items()}
 
 
-def likeliest_turn(actor: Mapping[str, Tensor], shown: Observation) -> Tensor:
-    """Return the policy's turns, (B,), as planners fly them."""
-    result: Tensor = heading.likeliest_turn(forward(actor, *shown)[0], GAUSSIAN)
+def likeliest_turn(actor: Mapping[str, Tensor], distribution: str, shown: Observation) -> Tensor:
+    """Return the turns, (B,), of a policy as planners fly them; see `heading.likeliest_turn`."""
+    result: Tensor = heading.likeliest_turn(forward(actor, *shown)[0], distribution)
     return result
 
 
@@ -52,13 +52,12 @@ def state_value(value: Mapping[str, Tensor], shown: Observation) -> Tensor:
 
 
 def corrected_turn(
-    actor: Mapping[str, Tensor], critics: Mapping[str, Tensor], shown: Observation, margin: float
+    own: Tensor, critics: Mapping[str, Tensor], shown: Observation, margin: float
 ) -> Tensor:
-    """Return the policy's turns, (B,), where the critics' mean does not prefer another by `margin`.
+    """Return a policy's own turns, (B,), or others that the critics' mean prefers by `margin`.
 
     Only turns some way off the policy's own are compared: nearby ones differ by chance.
     """
-    own = likeliest_turn(actor, shown)
     values = mean_value(critics, shown)
     fan = torch.tensor([0.0, *(s * f for f in _FAN for s in (1.0, -1.0))], device=own.device)
     turns = wrapped(own[:, None] + fan / 180.0)

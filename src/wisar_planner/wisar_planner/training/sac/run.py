@@ -12,7 +12,6 @@ from torch import Tensor
 
 from wisar_planner.policy.model import save_model
 from wisar_planner.training.ablation import make_environment, make_network
-from wisar_planner.training.config import TrainingConfig
 from wisar_planner.training.judging import Flights, fly_maps
 from wisar_planner.training.records import (
     Validation,
@@ -20,15 +19,16 @@ from wisar_planner.training.records import (
     make_optimizer_tensors,
     optimizer_tensors,
 )
-from wisar_planner.training.replay import Replay
 from wisar_planner.training.run import OnProgress, Run
-from wisar_planner.training.sac import Sac
+from wisar_planner.training.sac.config import SacConfig
+from wisar_planner.training.sac.learner import Sac
+from wisar_planner.training.sac.replay import Replay
 
 
-class SacRun(Run[TrainingConfig]):
+class SacRun(Run[SacConfig]):
     """A run by soft actor-critic; see `Run`."""
 
-    def __init__(self, config: TrainingConfig, folder: Path | None, device: torch.device) -> None:
+    def __init__(self, config: SacConfig, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
         self.environment = make_environment(
             config.ablation, config.environments, config.worlds, self.generator, stagger=True

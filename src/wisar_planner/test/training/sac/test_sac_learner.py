@@ -9,8 +9,8 @@ from torch.distributions import Normal, TanhTransform, TransformedDistribution
 from wisar_planner.policy.heading import value_at
 from wisar_planner.policy.network import forward
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
-from wisar_planner.training.replay import Batch
-from wisar_planner.training.sac import Sac, SacSettings
+from wisar_planner.training.sac.learner import Sac, SacSettings
+from wisar_planner.training.sac.replay import Batch
 
 TINY = SacSettings(channels=8, blocks=1)
 

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
-from wisar_planner.training.replay import Replay
+from wisar_planner.training.sac.replay import Replay
 
 SEARCHES, ROWS, GAMMA = 3, 10, 0.9
 

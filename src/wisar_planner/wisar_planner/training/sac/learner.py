@@ -18,9 +18,10 @@ from torch import Tensor
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
 from wisar_planner.policy.observation import Observation
-from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.ablation import Network, make_network
-from wisar_planner.training.replay import Batch
+from wisar_planner.training.config import check_at_least, check_positive
+from wisar_planner.training.sac import squashed_gaussian
+from wisar_planner.training.sac.replay import Batch
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,8 @@ class SacSettings:
     least_temperature: float = 1e-4
 
     def __post_init__(self) -> None:
-        for name in ("channels", "blocks", "action_samples"):
-            if not getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("critic_rate", "actor_rate", "temperature_rate", "least_temperature"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidInput(f"{name} must be above 0 and finite, not {getattr(self, name)}")
+        check_at_least(self, channels=1, blocks=1, action_samples=1)
+        check_positive(self, "critic_rate", "actor_rate", "temperature_rate", "least_temperature")
         if not 0.0 < self.tau <= 1.0:
             raise InvalidInput(f"tau must be over 0 and at most 1, not {self.tau}")
 
