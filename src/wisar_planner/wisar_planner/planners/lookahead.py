@@ -7,7 +7,6 @@ import heapq
 import itertools
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -160,15 +159,19 @@ class Lookahead(OptionedPlanner):
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
     ) -> list[Found]:
         """Return the paths that the search begins with."""
-        return taken(self._rollouts(problem, raster, monitor), monitor, FIRST_SHARE)
+        return self._rollouts(problem, raster, monitor, until=FIRST_SHARE)
 
     def _rollouts(
-        self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
-    ) -> Iterator[Found | None]:
-        """Yield rollouts, the likeliest kinds first; None for each that finds no way."""
+        self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor, until: float
+    ) -> list[Found]:
+        """Return rollouts, the likeliest kinds first: all, or until a share of the time is spent.
+
+        There is one at least, where any finds a way in the area.
+        """
         blocks, block_cells, targets = _blocks(problem, raster)
         start = raster.to_cells(problem.start)
         tally = np.zeros(PERIODS, np.int64)
+        found = []
         for arrival, hug, target in itertools.product(_ARRIVALS, _HUGS, [-1, *targets]):
             points = np.empty((problem.steps + 1, 2))
             points[0] = start
@@ -177,19 +180,11 @@ class Lookahead(OptionedPlanner):
                 raster.step, blocks, block_cells, target, arrival, hug, _HEADINGS, points, tally,
             )  # fmt: skip
             if complete:
+                found.append(Found(path_value(tally, self.early_weight), points))
                 monitor.report(tally[-1] * raster.unit, 0.0)
-            yield Found(path_value(tally, self.early_weight), points) if complete else None
-
-
-def taken(paths: Iterator[Found | None], monitor: Monitor, until: float) -> list[Found]:
-    """Return paths, one attempt at least: all, or until a share of the time is spent."""
-    found = []
-    for each in paths:
-        if each is not None:
-            found.append(each)
-        if monitor.stopped() or monitor.spent() > until:
-            break
-    return found
+            if monitor.stopped() or monitor.spent() > until:
+                break
+        return found
 
 
 class Monitor:
