@@ -17,8 +17,8 @@ from wisar_planner.policy.model import DEFAULT_MODEL
 from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.problem import SearchProblem
 
-# Flights with random turns after the one with the most likely turns.
-_RANDOM_FLIGHTS = 16
+# Most flights with random turns after the one with the most likely turns; time often allows fewer.
+_RANDOM_FLIGHTS = 48
 # Flights side by side.
 _BATCH = 16
 
