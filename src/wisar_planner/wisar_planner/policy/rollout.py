@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import shapely
+from shapely.geometry import MultiPolygon, Polygon
 from threadpoolctl import ThreadpoolController
 
 from wisar_planner.errors import FloatArray
@@ -77,18 +78,15 @@ class Terrain(NamedTuple):
             for length in high - low
         )
         grid = Grid(low[0] - edge * cell, low[1] - edge * cell, cell, columns, rows)
-        centres = grid.centres().reshape(-1, 2)
+        inside = cells_inside(problem.area.polygon.buffer(problem.swath_radius), grid)
+        centres = grid.centres()[inside]
         # At the centres, as in training: a tenth of the time of the exact mass of every cell.
-        density = (problem.pdm.density(centres) * cell**2).astype(np.float32)
-        density = density.reshape(rows, columns)
-        seen_from_inside = problem.area.polygon.buffer(problem.swath_radius)
-        shapely.prepare(seen_from_inside)
-        inside = shapely.contains_xy(seen_from_inside, *centres.T).reshape(density.shape)
-        density = np.where(inside, density, np.float32(OUTSIDE))
-        if not (mass := np.clip(density, 0.0, None)).any():
-            density = np.where(inside, np.float32(1.0), np.float32(OUTSIDE))
-            mass = np.clip(density, 0.0, None)
-        toward = mass.reshape(-1) @ centres / mass.sum(dtype=np.float64) - problem.start
+        mass = (problem.pdm.density(centres) * cell**2).astype(np.float32)
+        if not mass.any():
+            mass = np.ones_like(mass)
+        toward = mass @ centres / mass.sum(dtype=np.float64) - problem.start
+        density = np.full(inside.shape, OUTSIDE, dtype=np.float32)
+        density[inside] = mass
         single = [np.array([value], dtype=np.float32) for value in (step, swath)]
         fresh = UnseenMap(density[None].copy(), single[0], single[1], window)
         reference = reference_density(fresh, np.array([problem.steps], dtype=np.float32))
@@ -100,6 +98,33 @@ class Terrain(NamedTuple):
     def most_searches(self) -> int:
         """How many searches fit side by side in memory."""
         return max(1, _MOST_CELLS_TOGETHER // self.density.size)
+
+
+def cells_inside(polygon: Polygon | MultiPolygon, grid: Grid) -> npt.NDArray[np.bool_]:
+    """Return which cells have their centre in a polygon, (rows, columns).
+
+    Only those blocks of cells are looked into that the polygon's border may meet.
+
+    Parameters
+    ----------
+    polygon : Polygon or MultiPolygon
+        The polygon.
+    grid : Grid
+        The cells; rows and columns are multiples of `BLOCK`.
+    """
+    shapely.prepare(polygon)
+    rows, columns = grid.rows // BLOCK, grid.columns // BLOCK
+    x = grid.x0 + grid.cell * BLOCK * np.arange(columns + 1)
+    y = grid.y0 + grid.cell * BLOCK * np.arange(rows + 1)
+    blocks = shapely.box(x[None, :-1], y[:-1, None], x[None, 1:], y[1:, None])
+    whole = shapely.contains_properly(polygon, blocks)
+    i, j = np.nonzero(shapely.intersects(polygon, blocks) & ~whole)
+    inside = np.repeat(np.repeat(whole, BLOCK, axis=0), BLOCK, axis=1)
+    in_block = grid.cell * (np.arange(BLOCK) + 0.5)
+    inside.reshape(rows, BLOCK, columns, BLOCK)[i, :, j, :] = shapely.contains_xy(
+        polygon, x[j][:, None, None] + in_block, y[i][:, None, None] + in_block[:, None]
+    )
+    return inside
 
 
 def fly(
