@@ -7,7 +7,8 @@ import torch
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import load_model
-from wisar_planner.training.sac.config import SacConfig, read_config
+from wisar_planner.training.algorithms import read_any_config
+from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.sac.run import SacRun
 from wisar_planner.training.worlds import WorldDistribution
@@ -90,4 +91,4 @@ def test_a_wrong_configuration_names_the_field(tmp_path, text, words) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(text)
     with pytest.raises(InvalidInput, match=words):
-        read_config(path)
+        read_any_config(path)

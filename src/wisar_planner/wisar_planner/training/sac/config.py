@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.ablation import check_ablation
-from wisar_planner.training.config import build, check_at_least, check_positive, read_yaml
+from wisar_planner.training.config import check_at_least, check_positive
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
@@ -97,22 +95,3 @@ class SacConfig:
             )
         if self.replay < 2 * self.warm_up_steps:
             raise InvalidInput(f"replay must be at least twice warm_up_steps, not {self.replay}")
-
-
-def read_config(path: Path, **overrides: Any) -> SacConfig:
-    """Return the configuration in a YAML file.
-
-    Parameters
-    ----------
-    path : Path
-        The file; fields that it does not name keep their defaults.
-    **overrides
-        Fields that replace those of the file.
-
-    Raises
-    ------
-    InvalidInput
-        When the file cannot be read, names an unknown field, or a value cannot be right.
-    """
-    config: SacConfig = build(SacConfig, {**read_yaml(path), **overrides}, str(path))
-    return config
