@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.config import check_at_least
 from wisar_planner.training.paper.observation import Layout
-from wisar_planner.training.sac import squashed_gaussian
 
 # Limits of the logarithm of the standard deviation, those of Stable-Baselines3.
 _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0

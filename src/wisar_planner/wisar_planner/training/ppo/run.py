@@ -52,25 +52,18 @@ class PpoRun(PolicyRun[PpoConfig]):
         self._teacher: Policy = partial(
             likeliest_turn, self._start_weights, self._start.distribution
         )
-        self._distribution = DIRECTED
         rng = np.random.default_rng(config.seed)
-        self.actor = self._networks(rng, ACTOR_OUTPUTS)
+        fresh = self._networks(rng, ACTOR_OUTPUTS)
         self._value = self._networks(rng, 1)
+        self.imitation_steps = 0
+        if self._start.distribution != DIRECTED or _shapes(fresh) != _shapes(self.actor):
+            self.imitation_steps = config.imitation_steps
+            self.actor, self._distribution = fresh, DIRECTED
         self._optimizers = {
             name: torch.optim.Adam(networks.values(), lr=config.rate, betas=_BETAS, fused=True)
             for name, networks in (("actor", self.actor), ("value", self._value))
         }
         make_optimizer_tensors(self._optimizers)
-        shapes = [
-            {name: each.shape for name, each in networks.items()}
-            for networks in (self.actor, self._start_weights)
-        ]
-        self.imitation_steps = config.imitation_steps
-        if self._start.distribution == DIRECTED and shapes[0] == shapes[1]:
-            self.imitation_steps = 0
-            with torch.no_grad():
-                for name, value in self._start_weights.items():
-                    self.actor[name].copy_(value)
 
     def _networks(self, rng: np.random.Generator, outputs: int) -> Networks:
         return make_networks(
@@ -163,3 +156,7 @@ class PpoRun(PolicyRun[PpoConfig]):
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
+
+
+def _shapes(networks: Networks) -> dict[str, torch.Size]:
+    return {name: each.shape for name, each in networks.items()}

@@ -18,9 +18,9 @@ from torch import Tensor
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
 from wisar_planner.policy.observation import Observation
+from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.ablation import Network, make_network
 from wisar_planner.training.config import check_at_least, check_positive
-from wisar_planner.training.sac import squashed_gaussian
 from wisar_planner.training.sac.replay import Batch
 
 
