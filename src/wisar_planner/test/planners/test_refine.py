@@ -77,7 +77,7 @@ def test_annealing_leaves_no_coverage_behind_and_keeps_its_tally(paper_problem):
     *_, last = annealing(raster, points, Schedule(), state, iterations=3000, early_weight=0.5)
     assert last.iterations == 3000
     assert last.fraction == 1.0
-    assert not raster.counts.any()
+    assert not raster.canvas.counts.any()
     # The probability that it claims is that of its path, painted afresh.
     best = SearchPath(raster.to_metres(last.points), problem.swath_radius)
     assert last.probability == pytest.approx(best.seen_probability(problem.pdm), rel=0.02)

@@ -4,13 +4,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem
+from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
 from wisar_planner.planners.swath_kernels import (
     ADD,
     MEASURE,
-    PERIODS,
     REMOVE,
+    Canvas,
+    count_path,
     inside,
+    most_weight,
     paint,
     paint_path,
     path_value,
@@ -38,9 +41,10 @@ def test_paint_agrees_with_the_distance_to_the_segment(ends, radius, period, see
     rng = np.random.default_rng(seed)
     weights = rng.integers(0, 1 << 20, (30, 27)).astype(np.int32)
     seen = rng.random((PERIODS, 30, 27)) < 0.2
-    counts = (
-        seen.astype(np.uint64) << (16 * np.arange(PERIODS, dtype=np.uint64))[:, None, None]
-    ).sum(axis=0, dtype=np.uint64)
+    canvas = Canvas.of(weights)
+    counts = canvas.counts
+    for period_seen, shift in zip(seen, range(0, 32, 8), strict=True):
+        counts += period_seen.astype(np.uint32) << shift
     before = counts.copy()
     swath = covered(ends, radius, counts.shape)
     if swath is None:
@@ -48,7 +52,7 @@ def test_paint_agrees_with_the_distance_to_the_segment(ends, radius, period, see
     until = np.logical_or.accumulate(seen, axis=0)  # seen until the end of each period
     gains = [int(weights[swath & ~until[p]].sum()) if p >= period else 0 for p in range(PERIODS)]
     tally = np.zeros(PERIODS, np.int64)
-    args = (counts, weights, *ends, radius, period)
+    args = (canvas, *ends, radius, period)
     assert paint(*args, MEASURE, tally) == gains[-1]
     assert not tally.any()
     np.testing.assert_array_equal(counts, before)
@@ -63,17 +67,36 @@ def test_tally_of_a_path_is_what_its_beginnings_see():
     rng = np.random.default_rng(4)
     weights = rng.integers(0, 1 << 20, (60, 60)).astype(np.int32)
     points = rng.uniform(10, 50, (17, 2))
-    counts, tally = np.zeros((60, 60), np.uint64), np.zeros(PERIODS, np.int64)
-    paint_path(counts, weights, points, 0, 16, 2.3, ADD, tally)
+    canvas, tally = Canvas.of(weights), np.zeros(PERIODS, np.int64)
+    paint_path(canvas, points, 0, 16, 2.3, ADD, tally)
     for steps, total in zip((2, 6, 12, 16), tally, strict=True):
         seen = np.zeros((60, 60), bool)
         for i in range(steps):
             seen |= covered((*points[i], *points[i + 1]), 2.3, seen.shape)
         assert total == weights[seen].sum()
     assert path_value(tally, 0.3) == tally[3] + 0.1 * tally[:3].sum()
-    paint_path(counts, weights, points, 0, 16, 2.3, REMOVE, tally)
-    assert not counts.any()
+    painted = canvas.counts.copy()
+    count_path(canvas, points, 3, 12, 2.3, REMOVE)
+    assert (canvas.counts != painted).any()
+    count_path(canvas, points, 3, 12, 2.3, ADD)
+    np.testing.assert_array_equal(canvas.counts, painted)
+    paint_path(canvas, points, 0, 16, 2.3, REMOVE, tally)
+    assert not canvas.counts.any()
     assert not tally.any()
+
+
+def test_sums_hold_the_heaviest_swaths():
+    # The weights of all cells are the greatest allowed; swaths as `SearchRaster` foresees them.
+    for step, radius in ((11.2, 6.99), (9.6, 12.0), (3.0, 60.0), (40.0, 2.0)):
+        side = 2 * int(step + 2.0 * radius + 2.0)
+        canvas = Canvas.of(np.full((side, side), most_weight(step, radius), np.int32))
+        middle = 0.5 * side
+        for turn in np.linspace(0.0, np.pi, 7):
+            end = middle + step * np.cos(turn), middle + step * np.sin(turn)
+            gain = paint(canvas, middle, middle, *end, radius, 0, MEASURE, np.zeros(4, np.int64))
+            swath = covered((middle, middle, *end), radius, canvas.counts.shape)
+            if swath is not None:
+                assert gain == canvas.weights[swath].sum(dtype=np.int64)
 
 
 def problem(polygon):
@@ -114,7 +137,7 @@ def test_raster_holds_the_map_with_a_margin_for_the_swath():
         assert xmax >= 102.5
         assert ymax >= 62.5
         mass = rectangle.pdm.rasterize(raster.grid)
-        np.testing.assert_allclose(raster.weights * raster.unit, mass, atol=raster.unit)
+        np.testing.assert_allclose(raster.canvas.weights * raster.unit, mass, atol=raster.unit)
 
 
 def test_wide_worlds_get_coarser_cells_and_only_what_is_in_reach():
@@ -129,5 +152,5 @@ def test_wide_worlds_get_coarser_cells_and_only_what_is_in_reach():
     near = SearchRaster(wide, COARSE)
     assert near.grid.bounds[2] < 510.0
     far = SearchRaster(SearchProblem(wide.pdm, wide.area, wide.start, 8.0, 2.5, 5e4), COARSE)
-    assert far.weights.size < 1.01 * (1 << 22)
+    assert far.canvas.weights.size < 1.01 * (1 << 22)
     assert far.radius < COARSE

@@ -21,12 +21,13 @@ from wisar_planner.planners.base import (
     ShouldStop,
     option,
 )
+from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.greedy import Greedy
 from wisar_planner.planners.random_kernels import random_state
 from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, as_path
 from wisar_planner.planners.rollout_kernels import rollout
 from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
-from wisar_planner.planners.swath_kernels import PERIODS, path_value
+from wisar_planner.planners.swath_kernels import path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 
@@ -176,7 +177,7 @@ class Lookahead(OptionedPlanner):
             points = np.empty((problem.steps + 1, 2))
             points[0] = start
             complete = rollout(
-                raster.counts, raster.weights, raster.kinds, raster.edges, raster.radius,
+                raster.canvas, raster.kinds, raster.edges, raster.radius,
                 raster.step, blocks, block_cells, target, arrival, hug, _HEADINGS, points, tally,
             )  # fmt: skip
             if complete:
@@ -237,9 +238,11 @@ def _blocks(problem: SearchProblem, raster: SearchRaster) -> tuple[FloatArray, f
     """
     covered = 2.0 * raster.radius * raster.step * max(problem.steps, 1)
     size = max(1, round(0.25 * math.sqrt(covered / math.pi)))
-    rows, columns = (math.ceil(n / size) for n in raster.weights.shape)
+    rows, columns = (math.ceil(n / size) for n in raster.canvas.weights.shape)
     padded = np.zeros((rows * size, columns * size))
-    padded[: raster.weights.shape[0], : raster.weights.shape[1]] = raster.weights
+    padded[: raster.canvas.weights.shape[0], : raster.canvas.weights.shape[1]] = (
+        raster.canvas.weights
+    )
     weight = padded.reshape(rows, size, columns, size).sum(axis=(1, 3))
     y, x = np.mgrid[0:rows, 0:columns] * size + 0.5 * (size - 1)
     centres = np.stack([x, y], axis=-1)

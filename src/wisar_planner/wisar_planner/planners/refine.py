@@ -11,10 +11,11 @@ import numpy as np
 
 from wisar_planner.errors import FloatArray, InvalidInput
 from wisar_planner.planners.base import OnProgress, PlanProgress, ShouldStop
+from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.random_kernels import StateArray, random_state
 from wisar_planner.planners.refine_kernels import THRESHOLDS, anneal
 from wisar_planner.planners.search_raster import FINE, SearchRaster
-from wisar_planner.planners.swath_kernels import ADD, PERIODS, REMOVE, paint_path, path_value
+from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 
@@ -179,9 +180,8 @@ def annealing(
     began = time.monotonic()
     best_points, current = points.copy(), points.copy()
     steps = len(points) - 1
-    raster_arrays = (raster.counts, raster.weights)
     tallies = np.zeros((2, PERIODS), np.int64)
-    paint_path(*raster_arrays, current, 0, steps, raster.radius, ADD, tallies[0])
+    paint_path(raster.canvas, current, 0, steps, raster.radius, ADD, tallies[0])
     tallies[1] = tallies[0]
     unit = max(1.0, path_value(tallies[0], early_weight) / steps)
     done, size, fraction, ahead = 0, _SLICE, 0.0, 0.0
@@ -191,7 +191,7 @@ def annealing(
                 size = min(_SLICE, iterations - done)
                 ahead = (done + size) / iterations
             anneal(
-                *raster_arrays, raster.kinds, raster.edges, raster.radius, raster.step,
+                raster.canvas, raster.kinds, raster.edges, raster.radius, raster.step,
                 early_weight, current, best_points, tallies,
                 size, unit * schedule.at(fraction), unit * schedule.at(ahead), THRESHOLDS, state,
             )  # fmt: skip
@@ -207,7 +207,7 @@ def annealing(
             value = path_value(tallies[1], early_weight)
             yield Annealed(best_points, value, tallies[1, -1] * raster.unit, done, fraction)
     finally:
-        paint_path(*raster_arrays, current, 0, steps, raster.radius, REMOVE, tallies[0])
+        paint_path(raster.canvas, current, 0, steps, raster.radius, REMOVE, tallies[0])
 
 
 def as_path(

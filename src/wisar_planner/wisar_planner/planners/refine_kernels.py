@@ -13,14 +13,15 @@ import numpy as np
 from numba import njit
 
 from wisar_planner.errors import FloatArray
+from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.random_kernels import StateArray, uniform
 from wisar_planner.planners.swath_kernels import (
     ADD,
     REMOVE,
-    CountArray,
+    Canvas,
     KindArray,
     TallyArray,
-    WeightArray,
+    count_path,
     inside,
     paint_path,
     path_value,
@@ -40,8 +41,7 @@ _TAIL = 64
 
 @njit(cache=True, nogil=True)
 def anneal(
-    counts: CountArray,
-    weights: WeightArray,
+    canvas: Canvas,
     kinds: KindArray,
     edges: FloatArray,
     radius: float,
@@ -60,8 +60,8 @@ def anneal(
 
     Parameters
     ----------
-    counts, weights, kinds, edges, radius, step
-        The raster, see `SearchRaster`; the counts hold the path's coverage and are kept up to date.
+    canvas, kinds, edges, radius, step
+        The raster, see `SearchRaster`; the path is painted on it, and is kept up to date.
     early_weight : float
         What is maximised is `path_value` with this weight.
     points : (N + 1, 2) float64
@@ -81,7 +81,7 @@ def anneal(
     """
     last = len(points) - 1
     new = np.empty_like(points)
-    tally = tallies[0]
+    tally, unchanged = tallies[0], np.empty(PERIODS, np.int64)
     value, best_value = path_value(tally, early_weight), path_value(tallies[1], early_weight)
     for i in range(iterations):
         temperature = hot * (cold / hot) ** (i / iterations)
@@ -92,8 +92,9 @@ def anneal(
         new[a] = points[a]
         if b <= last:
             new[b] = points[b]
-        paint_path(counts, weights, points, a, end, radius, REMOVE, tally)
-        paint_path(counts, weights, new, a, end, radius, ADD, tally)
+        unchanged[:] = tally
+        paint_path(canvas, points, a, end, radius, REMOVE, tally)
+        paint_path(canvas, new, a, end, radius, ADD, tally)
         new_value = path_value(tally, early_weight)
         change = new_value - value
         if change >= 0 or uniform(state) < math.exp(change / temperature):
@@ -104,8 +105,9 @@ def anneal(
                 best_points[:] = points
                 tallies[1] = tally
         else:
-            paint_path(counts, weights, new, a, end, radius, REMOVE, tally)
-            paint_path(counts, weights, points, a, end, radius, ADD, tally)
+            count_path(canvas, new, a, end, radius, REMOVE)
+            count_path(canvas, points, a, end, radius, ADD)
+            tally[:] = unchanged
 
 
 @njit(cache=True, nogil=True)

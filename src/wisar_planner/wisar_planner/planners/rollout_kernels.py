@@ -12,10 +12,9 @@ from wisar_planner.planners.swath_kernels import (
     ADD,
     MEASURE,
     REMOVE,
-    CountArray,
+    Canvas,
     KindArray,
     TallyArray,
-    WeightArray,
     inside,
     paint,
     paint_path,
@@ -28,8 +27,7 @@ _FAR_SHARE = 0.1
 
 @njit(cache=True, nogil=True)
 def rollout(
-    counts: CountArray,
-    weights: WeightArray,
+    canvas: Canvas,
     kinds: KindArray,
     edges: FloatArray,
     radius: float,
@@ -47,8 +45,8 @@ def rollout(
 
     Parameters
     ----------
-    counts, weights, kinds, edges, radius, step
-        The raster, see `SearchRaster`; `counts` is zero before and after.
+    canvas, kinds, edges, radius, step
+        The raster, see `SearchRaster`; nothing is painted on it before and after.
     blocks : (B, 3) float64
         Centre (x, y) and weight of the coarse blocks of the map that a target is chosen from.
     block_cells : float
@@ -92,12 +90,10 @@ def rollout(
                 end_x, end_y = x + step * math.cos(angle), y + step * math.sin(angle)
                 if not inside(kinds, edges, end_x, end_y):
                     continue
-                gain = paint(counts, weights, x, y, end_x, end_y, radius, 0, MEASURE, tally)
+                gain = paint(canvas, x, y, end_x, end_y, radius, 0, MEASURE, tally)
                 score = float(gain)
                 if hug > 0.0:
-                    wide = paint(
-                        counts, weights, x, y, end_x, end_y, 2.0 * radius, 0, MEASURE, tally
-                    )
+                    wide = paint(canvas, x, y, end_x, end_y, 2.0 * radius, 0, MEASURE, tally)
                     score -= hug * (wide - gain)
                 if score > best_score:
                     best_score, best_gain, best_heading = score, gain, angle
@@ -116,13 +112,13 @@ def rollout(
         points[i + 1, 0] = x + step * math.cos(heading)
         points[i + 1, 1] = y + step * math.sin(heading)
         gain = paint(
-            counts, weights, x, y, points[i + 1, 0], points[i + 1, 1],
+            canvas, x, y, points[i + 1, 0], points[i + 1, 1],
             radius, period_of(i, steps), ADD, tally,
         )  # fmt: skip
         flown += 1
         block = _nearest_block(blocks, 0.5 * (x + points[i + 1, 0]), 0.5 * (y + points[i + 1, 1]))
         left[block] = max(0.0, left[block] - gain)
-    paint_path(counts, weights, points, 0, flown, radius, REMOVE, np.zeros_like(tally))
+    paint_path(canvas, points, 0, flown, radius, REMOVE, np.zeros_like(tally))
     return flown == steps
 
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.planners.base import option
+from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.lookahead import FIRST_SHARE, Found, Lookahead, Monitor
 from wisar_planner.planners.sac import MODEL_HELP, trained_policy
 from wisar_planner.planners.search_raster import SearchRaster
-from wisar_planner.planners.swath_kernels import ADD, PERIODS, REMOVE, paint_path, path_value
+from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
 from wisar_planner.policy.model import DEFAULT_MODEL
 from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.problem import SearchProblem
@@ -70,7 +71,7 @@ class SacSearch(Lookahead):
         """Return a path in metres with its value on the raster, and the probability it sees."""
         points = raster.to_cells(path)
         tally = np.zeros(PERIODS, np.int64)
-        arguments = (raster.counts, raster.weights, points, 0, len(points) - 1, raster.radius)
+        arguments = (raster.canvas, points, 0, len(points) - 1, raster.radius)
         paint_path(*arguments, ADD, tally)
         value, probability = path_value(tally, self.early_weight), tally[-1] * raster.unit
         paint_path(*arguments, REMOVE, tally)

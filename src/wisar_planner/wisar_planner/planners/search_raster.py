@@ -9,7 +9,7 @@ import shapely
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
-from wisar_planner.planners.swath_kernels import classify
+from wisar_planner.planners.swath_kernels import Canvas, classify, most_weight
 from wisar_planner.search.problem import SearchProblem
 
 # Cells per swath radius. A swath 2 r wide covers up to floor(2 r) + 1 rows, and annealing finds the
@@ -17,7 +17,7 @@ from wisar_planner.search.problem import SearchProblem
 COARSE, FINE = 3.495, 5.9975
 # A step shorter than the swath needs cells no wider than this share of it.
 _CELLS_PER_STEP = 3.0
-# Cells of the largest raster, 13 bytes each; a wider search gets coarser cells.
+# Cells of the largest raster, 9 bytes each; a wider search gets coarser cells.
 _MOST_CELLS = 1 << 22
 # Steps of room about given positions.
 _ROOM = 16.0
@@ -26,7 +26,7 @@ _ROOM = 16.0
 class SearchRaster:
     """What trial-and-error planners work on: weights, area and coverage counts per cell.
 
-    Where it would take more than 2^22 cells (55 MB), cells are wider than asked for.
+    Where it would take more than 2^22 cells (38 MB), cells are wider than asked for.
 
     Parameters
     ----------
@@ -42,12 +42,10 @@ class SearchRaster:
     ----------
     grid : Grid
         Where the cells lie.
-    weights : (rows, columns) int32
-        Probability of each cell in units of `unit`.
+    canvas : Canvas
+        Weight of each cell in units of `unit`, and how often it is covered: zero between uses.
     unit : float
         Probability of a weight of 1.
-    counts : (rows, columns) uint64
-        How often each cell is covered, see `swath_kernels`; zero between uses.
     kinds, edges
         The area, for `swath_kernels.inside`.
     radius, step : float
@@ -74,11 +72,10 @@ class SearchRaster:
         self.radius = problem.swath_radius / cell
         self.step = problem.step_length / cell
         mass = problem.pdm.rasterize(self.grid)
-        # One row of one swath, up to twice as wide, must add up within 32 bits.
-        run = math.ceil(self.step + 4.0 * self.radius) + 2
-        self.unit = max(float(mass.max()), np.finfo(np.float64).tiny) * run / (2.0**31 - 1.0)
-        self.weights = np.floor(mass / self.unit).astype(np.int32)
-        self.counts = np.zeros(mass.shape, np.uint64)
+        # Rollouts measure swaths twice as wide.
+        most = most_weight(self.step, 2.0 * self.radius)
+        self.unit = max(float(mass.max()), np.finfo(np.float64).tiny) / most
+        self.canvas = Canvas.of(np.floor(mass / self.unit).astype(np.int32))
         # A hair inside the border, so that rounding never puts a waypoint outside.
         self.edges = self._edges(problem.area.polygon.buffer(-1e-7 * problem.step_length))
         self.kinds = np.empty(mass.shape, np.uint8)

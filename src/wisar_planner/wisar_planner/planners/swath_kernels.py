@@ -6,34 +6,85 @@ Coordinates are in cells: the centre of the cell in row i and column j is the po
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from wisar_planner.errors import FloatArray
+from wisar_planner.planners.cell_vectors import (
+    BITS,
+    CELLS,
+    PERIODS,
+    count_block,
+    measure_block,
+    tally_block,
+)
 
-CountArray = npt.NDArray[np.uint64]
-WeightArray = npt.NDArray[np.int32]
 KindArray = npt.NDArray[np.uint8]
 TallyArray = npt.NDArray[np.int64]
 
 # What `paint` does with the cells of a swath.
 REMOVE, MEASURE, ADD = -1, 0, 1
 
-# Steps fall into periods, which end after 1/8, 3/8, 3/4 and all of the path. A cell counts the
-# steps of each in 16 bits of its own, so that what the path sees until the end of each period is
-# known at any time.
-PERIODS = 4
-_BITS = 16
-
 # Kinds of cells with respect to the area.
 OUTSIDE, INSIDE, BORDER = 0, 1, 2
 
 
+class Canvas(NamedTuple):
+    """What swaths are painted on.
+
+    Attributes
+    ----------
+    counts : (rows, columns) uint32
+        How many steps of each period see each cell, 8 bits for each of four periods: what a path
+        sees until the end of each is known at any time. Where more than 255 steps of a period see
+        one cell, that cell is valued wrongly as long as they do; removal stays exact.
+    weights : (rows, columns) int32
+        Probability of each cell in a fixed-point unit: whole numbers make removal the exact
+        inverse of addition. See `most_weight`.
+    spans : (2, rows) float64
+        Room for the first and last cells of a swath in each row.
+    sums : (4, 8) int32
+        Room for sums of weights.
+    """
+
+    counts: npt.NDArray[np.uint32]
+    weights: npt.NDArray[np.int32]
+    spans: FloatArray
+    sums: npt.NDArray[np.int32]
+
+    @classmethod
+    def of(cls, weights: npt.NDArray[np.int32]) -> Canvas:
+        """Return a canvas on which nothing is painted, of `CELLS` cells or more."""
+        return cls(
+            np.zeros(weights.shape, np.uint32),
+            np.ascontiguousarray(weights),
+            np.empty((2, len(weights))),
+            np.empty((PERIODS, CELLS), np.int32),
+        )
+
+
+def most_weight(step: float, radius: float) -> float:
+    """Return the greatest weight of a cell for which sums over a swath hold 32 bits.
+
+    Parameters
+    ----------
+    step, radius : float
+        Step length and swath radius in cells.
+    """
+    # A row of n cells adds up to (n - 1) / CELLS + 1 weights to a sum, and every row to all of it.
+    cells = 2.0 * radius * step + math.pi * radius**2
+    return (2.0**31 - 1.0) / ((cells / CELLS) + 2.0 * (step + 2.0 * radius + 2.0))
+
+
 @njit(cache=True, nogil=True, inline="always")
 def period_of(step: int, steps: int) -> int:
-    """Return the period, 0 to 3, of a step of a path with `steps` steps."""
+    """Return the period, 0 to 3, of a step of a path with `steps` steps.
+
+    Periods end after 1/8, 3/8, 3/4 and all of the path.
+    """
     if 4 * step >= 3 * steps:
         return 3
     if 8 * step >= 3 * steps:
@@ -43,8 +94,7 @@ def period_of(step: int, steps: int) -> int:
 
 @njit(cache=True, nogil=True)
 def paint(
-    counts: CountArray,
-    weights: WeightArray,
+    canvas: Canvas,
     ax: float,
     ay: float,
     bx: float,
@@ -56,16 +106,10 @@ def paint(
 ) -> int:
     """Add, remove or measure the swath of one step.
 
-    The cells whose centre lies within `radius` of the segment form one run in each row, because the
-    swath is convex.
-
     Parameters
     ----------
-    counts : (rows, columns) uint64
-        How many steps of each period see each cell; changed unless `mode` is MEASURE.
-    weights : (rows, columns) int32
-        Probability of each cell in a fixed-point unit: whole numbers make removal the exact
-        inverse of addition.
+    canvas : Canvas
+        Its counts are changed unless `mode` is MEASURE.
     ax, ay, bx, by : float
         Ends of the step.
     radius : float
@@ -82,7 +126,60 @@ def paint(
     int
         Change of the weight that is seen in all; what adding would change for MEASURE.
     """
-    rows, columns = counts.shape
+    counts, weights, sums = canvas.counts, canvas.weights, canvas.sums
+    row, rows = _spans(canvas.spans, counts.shape, ax, ay, bx, by, radius)
+    change = _change(period, mode)
+    before = change if mode == REMOVE else np.uint32(0)
+    after = change if mode == ADD else np.uint32(0)
+    sums[:] = 0
+    for k in range(rows):
+        at, end = _run(canvas.spans, counts.shape, row, k)
+        while at < end:
+            # At the raster's end a block begins before the run.
+            first = min(at, counts.size - CELLS)
+            low, high = np.int32(at - first), np.int32(min(end - first, CELLS))
+            if mode == MEASURE:
+                measure_block(counts, weights, first, low, high, sums)
+            else:
+                tally_block(counts, weights, first, low, high, before, after, sums)
+            at = first + CELLS
+    if mode == MEASURE:
+        return _total(sums, PERIODS - 1)
+    for until in range(period, PERIODS):
+        tally[until] += mode * _total(sums, until)
+    return mode * _total(sums, PERIODS - 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _total(sums: npt.NDArray[np.int32], period: int) -> int:
+    total = np.int64(0)
+    for c in range(CELLS):
+        total += sums[period, c]
+    return total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _change(period: int, mode: int) -> np.uint32:
+    """Return what a step of a period adds to a count, or its inverse."""
+    one = np.uint32(1) << np.uint32(BITS * period)
+    return np.uint32(one) if mode == ADD else np.uint32(-np.int64(one))
+
+
+@njit(cache=True, nogil=True)
+def _spans(
+    spans: FloatArray,
+    shape: tuple[int, int],
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    radius: float,
+) -> tuple[int, int]:
+    """Write the first and last column of a swath in each row; return the first row and how many.
+
+    The cells whose centre lies within `radius` of the segment form one run in each row, because the
+    swath is convex.
+    """
     if ay > by:
         ax, bx = bx, ax
         ay, by = by, ay
@@ -95,58 +192,31 @@ def paint(
     left_x, right_x = ax - radius * uy, ax + radius * uy
     slope = dx / dy if dy > 1e-9 else 0.0
     square = radius * radius
-    one = np.uint64(1) << np.uint64(_BITS * period)
-    total = 0
-    for y in range(max(0, math.ceil(ay - radius)), min(rows - 1, math.floor(by + radius)) + 1):
-        if y <= left_low:
-            left = ax - math.sqrt(max(0.0, square - (y - ay) ** 2))
-        elif y >= left_high:
-            left = bx - math.sqrt(max(0.0, square - (y - by) ** 2))
-        else:
-            left = left_x + (y - left_low) * slope
-        if y <= right_low:
-            right = ax + math.sqrt(max(0.0, square - (y - ay) ** 2))
-        elif y >= right_high:
-            right = bx + math.sqrt(max(0.0, square - (y - by) ** 2))
-        else:
-            right = right_x + (y - right_low) * slope
-        first, last = max(0, math.ceil(left)), min(columns - 1, math.floor(right))
-        if last < first:
-            continue
-        count, weight = counts[y, first : last + 1], weights[y, first : last + 1]
-        if mode == MEASURE:
-            total += _unseen(count, weight, PERIODS - 1)
-        elif mode == ADD:
-            for until in range(period, PERIODS):
-                run = _unseen(count, weight, until)
-                tally[until] += run
-            total += run
-            for c in range(len(count)):
-                count[c] += one
-        else:
-            for c in range(len(count)):
-                count[c] -= one
-            for until in range(period, PERIODS):
-                run = _unseen(count, weight, until)
-                tally[until] -= run
-            total -= run
-    return total
+    row = max(0, math.ceil(ay - radius))
+    rows = min(shape[0] - 1, math.floor(by + radius)) - row + 1
+    for k in range(rows):
+        # Without a branch, so that the compiler makes vectors of it.
+        y = float(row) + float(k)
+        low = math.sqrt(max(0.0, square - (y - ay) ** 2))
+        high = math.sqrt(max(0.0, square - (y - by) ** 2))
+        left, right = left_x + (y - left_low) * slope, right_x + (y - right_low) * slope
+        left = ax - low if y <= left_low else (bx - high if y >= left_high else left)
+        right = ax + low if y <= right_low else (bx + high if y >= right_high else right)
+        spans[0, k] = np.ceil(max(0.0, left))
+        spans[1, k] = np.floor(min(float(shape[1] - 1), right))
+    return row, rows
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _unseen(count: CountArray, weight: WeightArray, until: int) -> int:
-    """Return the weight of the cells of a run that no step sees until the end of a period."""
-    mask = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(_BITS * (PERIODS - 1 - until))
-    run = np.int32(0)  # A row of one swath fits 32 bits; that lets the loop vectorise.
-    for c in range(len(count)):
-        run += weight[c] if (count[c] & mask) == 0 else np.int32(0)
-    return run
+def _run(spans: FloatArray, shape: tuple[int, int], row: int, k: int) -> tuple[int, int]:
+    """Return the flat indices of the first cell of a row's run and of the one after its last."""
+    start = (row + k) * shape[1]
+    return start + np.int64(spans[0, k]), start + np.int64(spans[1, k]) + 1
 
 
 @njit(cache=True, nogil=True)
 def paint_path(
-    counts: CountArray,
-    weights: WeightArray,
+    canvas: Canvas,
     points: FloatArray,
     first: int,
     last: int,
@@ -158,10 +228,30 @@ def paint_path(
     steps = len(points) - 1
     for i in range(first, last):
         paint(
-            counts, weights,
-            points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1],
+            canvas, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1],
             radius, period_of(i, steps), mode, tally,
         )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def count_path(
+    canvas: Canvas, points: FloatArray, first: int, last: int, radius: float, mode: int
+) -> None:
+    """Do what `paint_path` does to the counts, in half the time, for whoever has the tally."""
+    counts, steps = canvas.counts, len(points) - 1
+    for i in range(first, last):
+        row, rows = _spans(
+            canvas.spans, counts.shape,
+            points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], radius,
+        )  # fmt: skip
+        change = _change(period_of(i, steps), mode)
+        for k in range(rows):
+            at, end = _run(canvas.spans, counts.shape, row, k)
+            while at < end:
+                block = min(at, counts.size - CELLS)
+                low, high = np.int32(at - block), np.int32(min(end - block, CELLS))
+                count_block(counts, block, low, high, change)
+                at = block + CELLS
 
 
 @njit(cache=True, nogil=True)
