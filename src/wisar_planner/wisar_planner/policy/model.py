@@ -24,8 +24,9 @@ from wisar_planner.policy.heading import (
     likeliest_turn,
     random_turn,
 )
-from wisar_planner.policy.network import forward, initial_parameters, spread_rings
+from wisar_planner.policy.network import initial_parameters
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
+from wisar_planner.policy.ring_kernels import RingWeights, ring_network
 
 #: Name of the policy that the planners load unless told otherwise.
 DEFAULT_MODEL = "sac"
@@ -57,8 +58,8 @@ class Model:
         return distribution_of(self.card)
 
     @cached_property
-    def _ready(self) -> Weights:
-        return spread_rings(self.weights)
+    def _ring_weights(self) -> RingWeights:
+        return RingWeights.of(self.weights)
 
     def turn(
         self, shown: Observation, rng: np.random.Generator | None = None
@@ -72,7 +73,8 @@ class Model:
         rng : numpy.random.Generator, optional
             Source of randomness; without it the most likely turns.
         """
-        output = forward(self._ready, *shown)[0]
+        output = np.empty((ACTOR_OUTPUTS, *shown.view.shape[:2]), dtype=np.float32)
+        ring_network(self._ring_weights, shown.view, shown.numbers, output)
         if rng is not None:
             return random_turn(output, self.distribution, rng)
         return np.asarray(likeliest_turn(output, self.distribution))

@@ -99,18 +99,8 @@ def forward(parameters: Parameters, view: Array, numbers: Array) -> Array:
     return output.reshape((networks, -1, batch, directions))
 
 
-def spread_rings(parameters: Parameters) -> dict[str, Array]:
-    """Return parameters for `forward` with the work done that does not depend on its input."""
-    return {
-        name: _matrices(value) if name.startswith("ring") else value
-        for name, value in parameters.items()
-    }
-
-
 def _matrices(ring: Array) -> Array:
-    """Return ring kernels, (networks, channels, DIRECTIONS), as matrices; matrices as they are."""
-    if ring.ndim == 4:
-        return ring
+    """Return ring kernels, (networks, channels, DIRECTIONS), as matrices."""
     xp = array_namespace(ring)
     spread = xp.asarray(_SPREAD, device=device(ring))
     return xp.matmul(ring, spread).reshape((*ring.shape, DIRECTIONS))

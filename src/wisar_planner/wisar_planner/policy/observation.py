@@ -29,7 +29,10 @@ NUMBERS = 8
 MIDDLE_FROM, COARSE_FROM = 1.5, 6.0
 # Points per step, along and across, that its gain is taken from.
 _ALONG, _ACROSS = 8, 6
+# Greatest density that is shown.
 _BRIGHTEST = 4.0
+# Scales of the steps left.
+_SCALES = (2.0, 8.0, 32.0, 128.0)
 
 
 class Observation(NamedTuple):
@@ -64,26 +67,36 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
     steps_left : (B,) float32
         Steps that they have left.
     """
+    if isinstance(position, np.ndarray):
+        return _compiled(unseen, position, heading, steps_left)
     xp = array_namespace(position)
     fixed = _constants(xp, device(position))
     angles = heading[:, None] + fixed.directions
     unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
-    compiled = isinstance(position, np.ndarray)
-    view = (_compiled_view if compiled else _view)(unseen, position, unit, fixed)
-    view = xp.minimum(view, _BRIGHTEST)
+    view = xp.minimum(_view(unseen, position, unit, fixed), _BRIGHTEST)
     middle, coarse = (xp.max(level, axis=(1, 2)) for level in unseen.levels[1:])
-    numbers = xp.stack(
-        [
-            xp.exp(-steps_left / 2.0),
-            xp.exp(-steps_left / 8.0),
-            xp.exp(-steps_left / 32.0),
-            xp.exp(-steps_left / 128.0),
-            xp.log(steps_left) / 4.0,
-            unseen.radius / unseen.step,
-            xp.minimum(middle, _BRIGHTEST),
-            xp.minimum(coarse, _BRIGHTEST),
-        ],
-        axis=-1,
+    numbers = [xp.exp(-steps_left / scale) for scale in _SCALES]
+    numbers += [
+        xp.log(steps_left) / 4.0,
+        unseen.radius / unseen.step,
+        xp.minimum(middle, _BRIGHTEST),
+        xp.minimum(coarse, _BRIGHTEST),
+    ]
+    return Observation(view, xp.stack(numbers, axis=-1))
+
+
+def _compiled(unseen: UnseenMap, position: Array, heading: Array, steps_left: Array) -> Observation:
+    """Return the same for NumPy."""
+    fixed = _constants(np, device(position))
+    view = np.empty((len(position), DIRECTIONS, VIEW_WIDTH), dtype=np.float32)
+    numbers = np.empty((len(position), NUMBERS), dtype=np.float32)
+    levels = tuple(unseen.levels)
+    unseen_kernels.write_view(
+        levels, RATIO, position, heading, fixed.distances, fixed.swath,
+        unseen.step, unseen.radius, _BRIGHTEST, view,
+    )  # fmt: skip
+    unseen_kernels.write_numbers(
+        levels, steps_left, _SCALES, unseen.step, unseen.radius, _BRIGHTEST, numbers
     )
     return Observation(view, numbers)
 
@@ -98,24 +111,6 @@ def _view(unseen: UnseenMap, position: Array, unit: Array, fixed: _Constants) ->
         parts.append(unseen.interpolated(level, points))
     parts.append(step_gains(unseen, position, unit)[..., None])
     return xp.concat(parts, axis=-1)
-
-
-def _compiled_view(unseen: UnseenMap, position: Array, unit: Array, fixed: _Constants) -> Array:
-    """Return the same for NumPy."""
-    view = np.empty((*unit.shape[:2], VIEW_WIDTH), dtype=np.float32)
-    first = 0
-    for level, distances in enumerate(fixed.distances):
-        reach = unseen.step[:, None] * distances
-        part = view[:, :, first : first + len(distances)]
-        unseen_kernels.interpolate(
-            unseen.levels[level], 1.0 / RATIO**level, position, unit, reach, part
-        )
-        first += len(distances)
-    u, v, w = fixed.swath
-    ahead = u * unseen.step[:, None] + w * unseen.radius[:, None]
-    aside = v * unseen.radius[:, None]
-    unseen_kernels.step_gains(unseen.levels[0], position, unit, ahead, aside, view[:, :, -1])
-    return view
 
 
 def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:

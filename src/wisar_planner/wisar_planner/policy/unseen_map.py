@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Any
 
@@ -83,7 +82,8 @@ class UnseenMap:
             Ends of the flights, no longer than a step; each begins where the one before ended.
         """
         if isinstance(start, np.ndarray):
-            return self._see_compiled(start, end)
+            fixed = (self.step, self.radius, self._window, BLOCK, RATIO)
+            return unseen_kernels.see(tuple(self.levels), self._before, start, end, *fixed)
         xp = array_namespace(start)
         rows, columns = self.levels[0].shape[1:]
         half = 0.5 * (self.step + 2.0 * self.radius) + 1.0
@@ -108,16 +108,6 @@ class UnseenMap:
             x, y = x[:, ::RATIO] // RATIO, y[:, ::RATIO] // RATIO
             level[self._searches[:, None, None], y[:, :, None], x[:, None, :]] = after
         return xp.sum(seen, axis=(1, 2))
-
-    def _see_compiled(self, start: Array, end: Array) -> Array:
-        seen, corners = unseen_kernels.see(
-            self.levels[0], self._before, start, end, self.step, self.radius, self._window, BLOCK
-        )
-        side = self._window
-        for fine, coarse in itertools.pairwise(self.levels):
-            side, corners = side // RATIO, corners // RATIO
-            unseen_kernels.average(fine, coarse, corners, side, RATIO)
-        return seen
 
     def _covered(self, xp: Any, x: Array, y: Array, start: Array, end: Array) -> Array:
         """Return the share of cells, (B, rows, columns), that the swath of a flight covers."""
