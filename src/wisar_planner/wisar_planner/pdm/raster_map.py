@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
@@ -78,11 +79,16 @@ class RasterMap:
         """
         xy = finite_array(points, "points", (None, 2))
         xmin, ymin, xmax, ymax = self.bounds
-        inside = (xy >= (xmin, ymin)).all(axis=1) & (xy <= (xmax, ymax)).all(axis=1)
+        x, y = np.ascontiguousarray(xy.T)
+        inside = (x >= xmin) & (y >= ymin) & (x <= xmax) & (y <= ymax)
+        column, row = (
+            np.minimum(((along[inside] - low) / self.grid.cell).astype(np.int64), count - 1)
+            for along, low, count in (
+                (x, xmin, self.grid.columns),
+                (y, ymin, self.grid.rows),
+            )
+        )
         values = np.zeros(len(xy))
-        cells = np.floor((xy[inside] - (xmin, ymin)) / self.grid.cell).astype(np.int64)
-        column = np.minimum(cells[:, 0], self.grid.columns - 1)
-        row = np.minimum(cells[:, 1], self.grid.rows - 1)
         values[inside] = self.probability[row, column] / self.grid.cell**2
         return values
 
@@ -125,7 +131,7 @@ class RasterMap:
         """
         across = _overlap(self.grid.x_edges, grid.x_edges)
         up = _overlap(self.grid.y_edges, grid.y_edges)
-        return np.asarray(up @ self.probability @ across.T)
+        return np.ascontiguousarray((across @ (up @ self.probability).T).T)
 
     def most_probable_mass(self, region: Polygon | MultiPolygon, area: float) -> float:
         """Return the mass of the most probable part of `region` of `area` m^2.
@@ -171,8 +177,20 @@ class RasterMap:
         )
 
 
-def _overlap(old: FloatArray, new: FloatArray) -> FloatArray:
-    """Return the share of each old interval that lies in each new one, (new, old)."""
-    low = np.maximum(new[:-1, None], old[:-1])
-    high = np.minimum(new[1:, None], old[1:])
-    return np.maximum(high - low, 0.0) / np.diff(old)
+def _overlap(old: FloatArray, new: FloatArray) -> csr_array:
+    """Return the share of each old interval that lies in each new one, (new, old).
+
+    Parameters
+    ----------
+    old, new : (n + 1,) float64
+        Borders between intervals, rising.
+    """
+    borders = np.union1d(old, new)
+    low, high = max(old[0], new[0]), min(old[-1], new[-1])
+    borders = borders[(borders >= low) & (borders <= high)]
+    # Each piece between two borders lies in one interval of either kind.
+    middle = 0.5 * (borders[:-1] + borders[1:])
+    within = np.searchsorted(old, middle, side="right") - 1
+    into = np.searchsorted(new, middle, side="right") - 1
+    share = np.diff(borders) / np.diff(old)[within]
+    return csr_array((share, (into, within)), shape=(len(new) - 1, len(old) - 1))

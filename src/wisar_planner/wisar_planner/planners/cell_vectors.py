@@ -17,6 +17,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from wisar_planner.vectors import pointer, spread, zeros
+
 #: Cells per block.
 CELLS = 8
 #: Periods that a cell's count is split into, and the bits that each has.
@@ -24,7 +26,7 @@ PERIODS, BITS = 4, 8
 
 _INT = ir.IntType(32)
 _VECTOR = ir.VectorType(_INT, CELLS)
-_ZEROS = ir.Constant(_VECTOR, [0] * CELLS)
+_ZEROS = zeros(_VECTOR)
 _PLACE = (types.int64, types.int32, types.int32)
 _INDICES = ir.Constant(_VECTOR, list(range(CELLS)))
 
@@ -39,15 +41,12 @@ class _Block:
         self.chosen = builder.and_(above, below)
 
     def spread(self, value: Any) -> Any:
-        """Return a vector of one number."""
-        undefined = ir.Constant(_VECTOR, ir.Undefined)
-        first = self.builder.insert_element(undefined, value, ir.Constant(_INT, 0))
-        return self.builder.shuffle_vector(first, undefined, _ZEROS)
+        """Return a block of one number."""
+        return spread(self.builder, value, _VECTOR)
 
     def pointer(self, kind: Any, array: Any, at: Any) -> Any:
         """Return where a block of an array begins."""
-        data = self.context.make_array(kind)(self.context, self.builder, array).data
-        return self.builder.bitcast(self.builder.gep(data, [at]), _VECTOR.as_pointer())
+        return pointer(self.context, self.builder, kind, array, at, _VECTOR)
 
     def load(self, pointer: Any) -> Any:
         """Return a block."""

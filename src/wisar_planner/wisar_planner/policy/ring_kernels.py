@@ -18,11 +18,11 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from wisar_planner.policy.observation import DIRECTIONS
+from wisar_planner.vectors import pointer, spread, zeros
 
 Float32Array = npt.NDArray[np.float32]
 
 _ROW = ir.VectorType(ir.FloatType(), DIRECTIONS)
-_ZEROS = ir.Constant(_ROW, [0.0] * DIRECTIONS)
 # A product and a sum may become one instruction.
 _FUSED = ("contract",)
 
@@ -82,26 +82,20 @@ def _add_products(
         sums, at, weights, first, rows, start, stride, count = arguments
         kinds = signature.args
 
-        def element(kind: Any, array: Any, index: Any) -> Any:
-            data = context.make_array(kind)(context, builder, array).data
-            return builder.gep(data, [index])
-
-        def row(pointer: Any) -> Any:
-            return builder.bitcast(pointer, _ROW.as_pointer())
+        def element(kind: int, array: Any, index: Any) -> Any:
+            data = context.make_array(kinds[kind])(context, builder, array).data
+            return builder.load(builder.gep(data, [index]))
 
         # Sums of even and of odd rows: two chains of additions that do not wait for each other.
-        place = row(element(kinds[0], sums, at))
-        chains = [cgutils.alloca_once_value(builder, _ZEROS) for _ in range(2)]
+        place = pointer(context, builder, kinds[0], sums, at, _ROW)
+        chains = [cgutils.alloca_once_value(builder, zeros(_ROW)) for _ in range(2)]
         builder.store(builder.load(place, align=4), chains[0])
-        undefined = ir.Constant(_ROW, ir.Undefined)
-        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), DIRECTIONS), [0] * DIRECTIONS)
 
         def add(k: Any, chain: Any) -> None:
-            weight = builder.load(element(kinds[2], weights, builder.add(first, k)))
-            weight = builder.insert_element(undefined, weight, ir.Constant(ir.IntType(32), 0))
-            weight = builder.shuffle_vector(weight, undefined, everywhere)
-            pointer = element(kinds[4], rows, builder.add(start, builder.mul(k, stride)))
-            product = builder.fmul(weight, builder.load(row(pointer), align=4), flags=_FUSED)
+            weight = spread(builder, element(2, weights, builder.add(first, k)), _ROW)
+            index = builder.add(start, builder.mul(k, stride))
+            row = builder.load(pointer(context, builder, kinds[4], rows, index, _ROW), align=4)
+            product = builder.fmul(weight, row, flags=_FUSED)
             builder.store(builder.fadd(builder.load(chain), product, flags=_FUSED), chain)
 
         one = ir.Constant(ir.IntType(64), 1)
