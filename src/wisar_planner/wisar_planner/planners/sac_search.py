@@ -45,22 +45,26 @@ class SacSearch(Lookahead):
         terrain = Terrain.of(problem)
         rng = np.random.default_rng(self.seed)
         found: list[Found] = []
-        flown = 0
-        while flown <= _RANDOM_FLIGHTS:
-            count = 1 if flown == 0 else min(_BATCH, terrain.most_searches)
+        flown, count = 0, 1
+        while count > 0:
+            before = monitor.spent()
             paths = fly(
                 problem, terrain, model, count=count, rng=rng if flown else None,
                 on_step=(lambda _: monitor.asked_to_stop()) if found else None,
             )  # fmt: skip
-            flown += count
             if paths.shape[1] <= problem.steps:
                 break
             for path in paths:
                 each, probability = self._valued(raster, path)
                 found.append(each)
                 monitor.report(probability, 0.0)
-            if monitor.stopped() or monitor.spent() > FIRST_SHARE:
+            if monitor.stopped():
                 break
+            flown += count
+            # As many more as there is time for, if each takes as long as one of these.
+            each_takes, left = (monitor.spent() - before) / count, FIRST_SHARE - monitor.spent()
+            most = min(_BATCH, terrain.most_searches, 1 + _RANDOM_FLIGHTS - flown)
+            count = most if each_takes == 0.0 else min(most, int(left / each_takes))
         if found and monitor.stopped():
             return found
         # On a long budget the flights alone take long: the rollouts get their time all the same.
