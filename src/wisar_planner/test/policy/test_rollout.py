@@ -4,9 +4,8 @@ import numpy as np
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from threadpoolctl import threadpool_info, threadpool_limits
 
-from wisar_planner import Grid, SearchProblem
+from wisar_planner import Grid, SearchPath, SearchProblem
 from wisar_planner.policy.model import DEFAULT_MODEL, find_model, load_model
 from wisar_planner.policy.rollout import Terrain, cells_inside, fly
 from wisar_planner.policy.unseen_map import BLOCK
@@ -27,19 +26,15 @@ def test_cells_are_inside_whose_centre_is(corners, hole):
     np.testing.assert_array_equal(cells_inside(polygon, grid), expected)
 
 
-def test_flights_keep_to_one_core_and_leave_the_threads_as_they_were():
-    """On a busy machine threads that wait for each other took ten times as long."""
-    problem, during = SearchProblem.paper(np.random.default_rng(1)), []
-
-    def threads():
-        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
-
-    with threadpool_limits(2, user_api="blas"):
-        before = threads()
-        fly(
-            problem, Terrain.of(problem), load_model(find_model(DEFAULT_MODEL)),
-            on_step=lambda _: during.append(threads()) or True,
-        )  # fmt: skip
-        assert threads() == before
-    assert during
-    assert set(during[0]) == {1}
+def test_flights_stay_in_the_area_and_see_what_they_say():
+    """The seen share that a flight reports is that of its path, by the exact integral."""
+    problem = SearchProblem.paper(np.random.default_rng(1))
+    terrain, told = Terrain.of(problem), []
+    paths = fly(
+        problem, terrain, load_model(find_model(DEFAULT_MODEL)), count=3,
+        rng=np.random.default_rng(2), on_step=lambda seen: bool(told.append(seen.copy())),
+    )  # fmt: skip
+    assert paths.shape == (3, problem.steps + 1, 2)
+    assert problem.area.contains(paths.reshape(-1, 2)).all()
+    exact = [SearchPath(path, problem.swath_radius).seen_probability(problem.pdm) for path in paths]
+    np.testing.assert_allclose(told[-1], exact, rtol=0.02)

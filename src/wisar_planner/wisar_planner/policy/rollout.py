@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
-from threadpoolctl import ThreadpoolController
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
@@ -177,30 +175,19 @@ def fly(
     swath = 2.0 * terrain.radius * terrain.step
     seen = unseen.see(cells(position), cells(position)) * (terrain.unit / swath)
     waypoints = [position]
-    with _linear_algebra().limit(limits=1, user_api="blas"):
-        for flown in range(problem.steps):
-            left = np.full(count, problem.steps - flown, dtype=np.float32)
-            shown = observe(unseen, cells(position), heading.astype(np.float32), left)
-            heading = heading + math.pi * model.turn(shown, rng).astype(np.float64)
-            end, heading, possible = _inside(problem, position, heading)
-            if not possible:
-                break
-            seen = seen + unseen.see(cells(position), cells(end)) * (terrain.unit / swath)
-            waypoints.append(end)
-            position = end
-            if on_step is not None and on_step(seen):
-                break
+    for flown in range(problem.steps):
+        left = np.full(count, problem.steps - flown, dtype=np.float32)
+        shown = observe(unseen, cells(position), heading.astype(np.float32), left)
+        heading = heading + math.pi * model.turn(shown, rng).astype(np.float64)
+        end, heading, possible = _inside(problem, position, heading)
+        if not possible:
+            break
+        seen = seen + unseen.see(cells(position), cells(end)) * (terrain.unit / swath)
+        waypoints.append(end)
+        position = end
+        if on_step is not None and on_step(seen):
+            break
     return np.stack(waypoints, axis=1)
-
-
-@cache
-def _linear_algebra() -> ThreadpoolController:
-    """Return the control of NumPy's threads.
-
-    The policy's matrices are small: threads gain little, and on a busy machine they wait for each
-    other at every product, which took ten times as long as one thread.
-    """
-    return ThreadpoolController()
 
 
 def _inside(
