@@ -9,6 +9,18 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from numba import types
+from numba.core.errors import TypingError
+
+
+def require(number: Any, *arrays: Any) -> None:
+    """Raise TypingError unless arrays, given by their types, are contiguous and hold `number`.
+
+    Vectors are read and written past all other checks: any other array would be misread.
+    """
+    for kind in arrays:
+        if not isinstance(kind, types.Array) or kind.layout != "C" or kind.dtype != number:
+            raise TypingError(f"a contiguous array of {number} is needed, not {kind}")
 
 
 def pointer(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:

@@ -1,7 +1,9 @@
 import numpy as np
+import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.errors import TypingError
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem
 from wisar_planner.planners.cell_vectors import PERIODS
@@ -97,6 +99,14 @@ def test_sums_hold_the_heaviest_swaths():
             swath = covered((middle, middle, *end), radius, canvas.counts.shape)
             if swath is not None:
                 assert gain == canvas.weights[swath].sum(dtype=np.int64)
+
+
+def test_a_canvas_that_the_kernels_would_misread_is_refused():
+    with pytest.raises(ValueError, match="8 cells at least"):
+        Canvas.of(np.ones((1, 7), np.int32))
+    wide = Canvas.of(np.ones((9, 9), np.int32))._replace(weights=np.ones((9, 9), np.int64))
+    with pytest.raises(TypingError, match="contiguous array of int32"):
+        paint(wide, 2.0, 2.0, 5.0, 5.0, 1.0, 0, ADD, np.zeros(PERIODS, np.int64))
 
 
 def problem(polygon):

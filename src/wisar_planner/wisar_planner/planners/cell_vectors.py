@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from wisar_planner.vectors import pointer, spread, zeros
+from wisar_planner.vectors import pointer, require, spread, zeros
 
 #: Cells per block.
 CELLS = 8
@@ -96,6 +96,8 @@ def _tally_block(
         block.store(builder.add(count, after), place)
         return context.get_dummy_value()
 
+    require(types.uint32, counts)
+    require(types.int32, weights, sums)
     change = types.uint32
     return types.void(counts, weights, *_PLACE, change, change, sums), generate
 
@@ -113,6 +115,8 @@ def _measure_block(
         block.add_unseen(count, weight, PERIODS - 1, block.pointer(signature.args[5], sums, last))
         return context.get_dummy_value()
 
+    require(types.uint32, counts)
+    require(types.int32, weights, sums)
     return types.void(counts, weights, *_PLACE, sums), generate
 
 
@@ -125,6 +129,7 @@ def _count_block(_: Any, counts: Any, at: Any, low: Any, high: Any, change: Any)
         block.store(builder.add(block.load(place), change), place)
         return context.get_dummy_value()
 
+    require(types.uint32, counts)
     return types.void(counts, *_PLACE, types.uint32), generate
 
 

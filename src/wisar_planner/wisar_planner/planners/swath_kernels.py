@@ -57,10 +57,18 @@ class Canvas(NamedTuple):
 
     @classmethod
     def of(cls, weights: npt.NDArray[np.int32]) -> Canvas:
-        """Return a canvas on which nothing is painted, of `CELLS` cells or more."""
+        """Return a canvas on which nothing is painted.
+
+        Raises
+        ------
+        ValueError
+            When there are fewer than `CELLS` cells.
+        """
+        if weights.size < CELLS:
+            raise ValueError(f"a canvas has {CELLS} cells at least, not {weights.size}")
         return cls(
             np.zeros(weights.shape, np.uint32),
-            np.ascontiguousarray(weights),
+            np.ascontiguousarray(weights, np.int32),
             np.empty((2, len(weights))),
             np.empty((PERIODS, CELLS), np.int32),
         )

@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from wisar_planner.policy.observation import DIRECTIONS
-from wisar_planner.vectors import pointer, spread, zeros
+from wisar_planner.vectors import pointer, require, spread, zeros
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -54,7 +54,9 @@ class RingWeights(NamedTuple):
     @classmethod
     def of(cls, parameters: Mapping[str, Float32Array]) -> RingWeights:
         """Return the parameters, as `network.forward` takes them, of the first network."""
-        single = {name: np.ascontiguousarray(value[0]) for name, value in parameters.items()}
+        single = {
+            name: np.ascontiguousarray(value[0], np.float32) for name, value in parameters.items()
+        }
         blocks = sum(name.startswith("ring") for name in single)
 
         def stacked(name: str) -> Float32Array:
@@ -109,6 +111,7 @@ def _add_products(
         builder.store(total, place, align=4)
         return context.get_dummy_value()
 
+    require(types.float32, sums, weights, rows)
     index = types.int64
     signature = types.void(sums, index, weights, index, rows, index, index, index)
     return signature, generate
