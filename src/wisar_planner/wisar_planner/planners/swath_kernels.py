@@ -143,9 +143,7 @@ def paint(
     for k in range(rows):
         at, end = _run(canvas.spans, counts.shape, row, k)
         while at < end:
-            # At the raster's end a block begins before the run.
-            first = min(at, counts.size - CELLS)
-            low, high = np.int32(at - first), np.int32(min(end - first, CELLS))
+            first, low, high = _block(at, end, counts.size)
             if mode == MEASURE:
                 measure_block(counts, weights, first, low, high, sums)
             else:
@@ -222,6 +220,16 @@ def _run(spans: FloatArray, shape: tuple[int, int], row: int, k: int) -> tuple[i
     return start + np.int64(spans[0, k]), start + np.int64(spans[1, k]) + 1
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _block(at: int, end: int, size: int) -> tuple[int, np.int32, np.int32]:
+    """Return the block of cells from `at` on, and which of its cells lie in a run until `end`.
+
+    At the end of a raster of `size` cells the block begins before `at`.
+    """
+    first = min(at, size - CELLS)
+    return first, np.int32(at - first), np.int32(min(end - first, CELLS))
+
+
 @njit(cache=True, nogil=True)
 def paint_path(
     canvas: Canvas,
@@ -256,10 +264,9 @@ def count_path(
         for k in range(rows):
             at, end = _run(canvas.spans, counts.shape, row, k)
             while at < end:
-                block = min(at, counts.size - CELLS)
-                low, high = np.int32(at - block), np.int32(min(end - block, CELLS))
-                count_block(counts, block, low, high, change)
-                at = block + CELLS
+                first_cell, low, high = _block(at, end, counts.size)
+                count_block(counts, first_cell, low, high, change)
+                at = first_cell + CELLS
 
 
 @njit(cache=True, nogil=True)
