@@ -184,7 +184,7 @@ def test_a_world_in_other_units_looks_the_same():
         ones = np.ones(1, dtype=np.float32)
         unseen = UnseenMap(
             terrain.density.copy(),
-            ones * terrain.step,
+            ones * terrain.scale * terrain.step,
             ones * terrain.radius,
             window_side(terrain.step, terrain.radius),
         )
@@ -192,7 +192,7 @@ def test_a_world_in_other_units_looks_the_same():
         state = (start[None], [terrain.heading], [float(problem.steps)])
         shown.append(observe(unseen, *(np.array(each, dtype=np.float32) for each in state)))
         assert problem.steps == 64
-        assert terrain.grid.cell == pytest.approx(unit)
+        assert terrain.grid.cell == pytest.approx(unit * terrain.scale)
     assert shown[0].view.max() > 0.5
     for metres, decametres in zip(*shown, strict=True):
         np.testing.assert_allclose(decametres, metres, atol=1e-3)

@@ -23,7 +23,6 @@ def see(
     before: Float32Array,
     start: Float32Array,
     end: Float32Array,
-    step: Float32Array,
     radius: Float32Array,
     window: int,
     block: int,
@@ -39,8 +38,8 @@ def see(
         Where the last flight of each search began, NaN before the first; changed.
     start, end : (B, 2)
         Ends of the flights, in cells.
-    step, radius : (B,)
-        Step length and swath radius, in cells.
+    radius : (B,)
+        Swath radius, in cells.
     window, block : int
         Side of the square that a step can touch, and what its corner is a multiple of.
     ratio : int
@@ -48,12 +47,13 @@ def see(
     """
     unseen = levels[0]
     searches, rows, columns = unseen.shape
+    # So far may the window's corner lie from the middle of a flight.
+    half = 0.5 * (window - block + 1)
     seen = np.zeros(searches, np.float32)
     for b in range(searches):
         ax, ay = start[b]
         bx, by = end[b]
         cx, cy = before[b]
-        half = 0.5 * (step[b] + 2.0 * radius[b]) + 1.0
         x0 = block * math.floor((0.5 * (ax + bx) - half) / block)
         y0 = block * math.floor((0.5 * (ay + by) - half) / block)
         x0 = min(max(x0, 0), columns - window)

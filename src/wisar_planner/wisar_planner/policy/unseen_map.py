@@ -34,10 +34,9 @@ class UnseenMap:
         Density of the map in any unit, not negative where it counts, `OUTSIDE` elsewhere; the
         sides are multiples of `BLOCK`. Taken over and changed by `see`.
     step : (B,) float32
-        Step length.
+        Step length as the policy sees it, the unit of its distances.
     radius : (B,) float32
-        Swath radius. Positions keep at least ``step / 2 + radius + 1`` from the raster's border,
-        see `margin`.
+        Swath radius. Positions keep off the raster's border, see `margin`.
     window : int
         Side of the square that a step can touch, see `window_side`.
     """
@@ -79,15 +78,15 @@ class UnseenMap:
         Parameters
         ----------
         start, end : (B, 2) float32
-            Ends of the flights, no longer than a step; each begins where the one before ended.
+            Ends of the flights, not longer than fit into the window; each begins where the one
+            before ended.
         """
         if isinstance(start, np.ndarray):
-            fixed = (self.step, self.radius, self._window, BLOCK, RATIO)
+            fixed = (self.radius, self._window, BLOCK, RATIO)
             return unseen_kernels.see(tuple(self.levels), self._before, start, end, *fixed)
         xp = array_namespace(start)
         rows, columns = self.levels[0].shape[1:]
-        half = 0.5 * (self.step + 2.0 * self.radius) + 1.0
-        low = 0.5 * (start + end) - half[:, None]
+        low = 0.5 * (start + end) - 0.5 * (self._window - BLOCK + 1)
         corner = xp.astype(xp.floor(low / BLOCK), xp.int64) * BLOCK
         x = xp.clip(corner[:, 0], 0, columns - self._window)[:, None] + self._side
         y = xp.clip(corner[:, 1], 0, rows - self._window)[:, None] + self._side
