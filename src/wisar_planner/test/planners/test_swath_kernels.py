@@ -14,7 +14,6 @@ from wisar_planner.planners.swath_kernels import (
     REMOVE,
     Canvas,
     count_path,
-    inside,
     most_weight,
     paint,
     paint_path,
@@ -119,21 +118,6 @@ def problem(polygon):
         swath_radius=2.5,
         max_distance=200.0,
     )
-
-
-def test_inside_agrees_with_the_polygon():
-    star = shapely.Polygon(
-        [
-            (50 + r * np.cos(t), 50 + r * np.sin(t))
-            for t, r in zip(np.linspace(0, 2 * np.pi, 30)[:-1], [45, 20, 33] * 10, strict=False)
-        ]
-    ).difference(shapely.box(45, 40, 58, 47))
-    raster = SearchRaster(problem(star), COARSE)
-    points = np.random.default_rng(3).uniform(0, 100, (4000, 2))
-    cells = raster.to_cells(points)
-    ours = [inside(raster.kinds, raster.edges, x, y) for x, y in cells]
-    np.testing.assert_array_equal(ours, shapely.contains_xy(star, points))
-    np.testing.assert_allclose(raster.to_metres(cells), points, atol=1e-9)
 
 
 def test_raster_holds_the_map_with_a_margin_for_the_swath():

@@ -8,10 +8,8 @@ from wisar_planner.policy.heading import (
     DIRECTED,
     DISTRIBUTIONS,
     GAUSSIAN,
-    SPACING,
     actor_distribution,
     likeliest_turn,
-    random_turn,
     value_at,
     wrapped,
 )
@@ -132,24 +130,6 @@ def test_two_good_ways_apart_are_not_averaged():
     logits = 50.0 * ((RING == 4) | (RING == DIRECTIONS - 4))
     assert likeliest_turn(output(logits), GAUSSIAN)[0] == pytest.approx(0.0, abs=1e-5)
     assert abs(likeliest_turn(directed(logits, 0.0 * RING), DIRECTED)[0]) == pytest.approx(0.25)
-
-
-def test_random_turns_come_as_often_as_the_logits_say():
-    logits = np.where(RING == 3, np.log(3.0), np.where(RING == 20, 0.0, -30.0))
-    many = np.repeat(directed(logits, 0.0 * RING), 4000, axis=1)
-    turns = random_turn(many, DIRECTED, np.random.default_rng(5))
-    left = np.isclose(turns, 3 * SPACING)
-    assert np.isclose(turns[~left], 20 * SPACING - 2.0).all()
-    assert left.mean() == pytest.approx(0.75, abs=0.03)
-
-
-def test_random_gaussian_turns_spread_as_the_certainty_says():
-    many = np.repeat(output(50.0 * (RING == 2), 0.3), 4000, axis=1)
-    mean, log_std = actor_distribution(many)
-    turns = random_turn(many, GAUSSIAN, np.random.default_rng(5))
-    raw, spread = np.arctanh(turns.astype(np.float64)), float(np.exp(log_std[0]))
-    assert raw.mean() == pytest.approx(float(mean[0]), abs=4 * spread / np.sqrt(4000))
-    assert raw.std() == pytest.approx(spread, rel=0.05)
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)

@@ -12,15 +12,11 @@ from wisar_planner.policy import model as module
 from wisar_planner.policy.heading import (
     ACTOR_OUTPUTS,
     DIRECTED,
-    DISTRIBUTIONS,
     GAUSSIAN,
-    SPACING,
-    likeliest_turn,
-    wrapped,
 )
 from wisar_planner.policy.model import DEFAULT_MODEL, Model, find_model, load_model, save_model
-from wisar_planner.policy.network import forward, initial_parameters
-from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
+from wisar_planner.policy.network import initial_parameters
+from wisar_planner.policy.observation import DIRECTIONS
 
 
 def weights():
@@ -78,23 +74,15 @@ def test_a_card_tells_how_turns_are_distributed_and_older_ones_mean_gaussian(pat
     assert load_model(path).distribution == DIRECTED
 
 
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_a_model_turns_as_its_network_says(distribution):
-    model = Model(weights(), {"distribution": distribution})
-    rng = np.random.default_rng(4)
-    view = rng.random((3, DIRECTIONS, VIEW_WIDTH), dtype=np.float32)
-    shown = Observation(view, rng.random((3, NUMBERS), dtype=np.float32))
-    output = forward(model.weights, *shown)[0]
-    np.testing.assert_allclose(
-        model.turn(shown), likeliest_turn(output, distribution), rtol=1e-5, atol=1e-6
-    )
-    first, again, other = (model.turn(shown, np.random.default_rng(s)) for s in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()
-    # Turned view, same turns: they are counted from the view's first direction.
-    turned = Observation(np.roll(view, 5, axis=1), shown.numbers)
-    apart = model.turn(turned) - model.turn(shown) - 5 * SPACING
-    np.testing.assert_allclose(wrapped(apart), 0.0, atol=1e-4)
+def test_noise_is_of_the_policys_distribution_and_repeats_by_seed():
+    gaussian, directed = (Model({}, {"distribution": each}) for each in (GAUSSIAN, DIRECTED))
+    noise = [each.noise(np.random.default_rng(3), 2000) for each in (gaussian, directed)]
+    assert noise[0].shape == noise[1].shape == (2000, DIRECTIONS)
+    assert abs(noise[0].mean()) < 0.02
+    assert noise[0].std() == pytest.approx(1.0, abs=0.02)
+    assert noise[1].mean() == pytest.approx(np.euler_gamma, abs=0.02)
+    assert noise[1].std() == pytest.approx(np.pi / np.sqrt(6.0), abs=0.02)
+    np.testing.assert_array_equal(noise[1], directed.noise(np.random.default_rng(3), 2000))
 
 
 def test_a_model_is_found_by_its_path(path):

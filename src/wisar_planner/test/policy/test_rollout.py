@@ -1,29 +1,10 @@
 """Flights of a policy."""
 
 import numpy as np
-import shapely
-from hypothesis import given
-from hypothesis import strategies as st
 
-from wisar_planner import Grid, SearchPath, SearchProblem
+from wisar_planner import SearchPath, SearchProblem
 from wisar_planner.policy.model import DEFAULT_MODEL, find_model, load_model
-from wisar_planner.policy.rollout import Terrain, cells_inside, fly
-from wisar_planner.policy.unseen_map import BLOCK
-
-
-@given(
-    corners=st.lists(
-        st.tuples(st.floats(-20.0, 120.0), st.floats(-20.0, 90.0)), min_size=3, max_size=9
-    ),
-    hole=st.booleans(),
-)
-def test_cells_are_inside_whose_centre_is(corners, hole):
-    polygon = shapely.MultiPoint(corners).convex_hull.buffer(3.0)
-    if hole:
-        polygon = polygon.difference(polygon.centroid.buffer(7.0))
-    grid = Grid(-5.3, 2.1, 1.7, 4 * BLOCK, 3 * BLOCK)
-    expected = shapely.contains_xy(polygon, *np.moveaxis(grid.centres(), -1, 0))
-    np.testing.assert_array_equal(cells_inside(polygon, grid), expected)
+from wisar_planner.policy.rollout import Terrain, fly
 
 
 def test_flights_stay_in_the_area_and_see_what_they_say():

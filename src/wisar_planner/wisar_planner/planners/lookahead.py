@@ -177,7 +177,7 @@ class Lookahead(OptionedPlanner):
             points = np.empty((problem.steps + 1, 2))
             points[0] = start
             complete = rollout(
-                raster.canvas, raster.kinds, raster.edges, raster.radius,
+                raster.canvas, raster.area, raster.radius,
                 raster.step, blocks, block_cells, target, arrival, hug, _HEADINGS, points, tally,
             )  # fmt: skip
             if complete:

@@ -191,7 +191,7 @@ def annealing(
                 size = min(_SLICE, iterations - done)
                 ahead = (done + size) / iterations
             anneal(
-                raster.canvas, raster.kinds, raster.edges, raster.radius, raster.step,
+                raster.canvas, raster.area, raster.radius, raster.step,
                 early_weight, current, best_points, tallies,
                 size, unit * schedule.at(fraction), unit * schedule.at(ahead), THRESHOLDS, state,
             )  # fmt: skip

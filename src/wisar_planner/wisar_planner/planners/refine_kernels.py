@@ -19,13 +19,12 @@ from wisar_planner.planners.swath_kernels import (
     ADD,
     REMOVE,
     Canvas,
-    KindArray,
     TallyArray,
     count_path,
-    inside,
     paint_path,
     path_value,
 )
+from wisar_planner.search.area_raster import AreaRaster, inside
 
 # Moves, with how often each is tried. Measured on the paper's setup.
 SWAP_NEIGHBOURS, BEND_THREE, SHIFT_CHUNKS, SWAP_STEPS, REVERSE = 0, 1, 2, 3, 4
@@ -42,8 +41,7 @@ _TAIL = 64
 @njit(cache=True, nogil=True)
 def anneal(
     canvas: Canvas,
-    kinds: KindArray,
-    edges: FloatArray,
+    area: AreaRaster,
     radius: float,
     step: float,
     early_weight: float,
@@ -60,7 +58,7 @@ def anneal(
 
     Parameters
     ----------
-    canvas, kinds, edges, radius, step
+    canvas, area, radius, step
         The raster, see `SearchRaster`; the path is painted on it, and is kept up to date.
     early_weight : float
         What is maximised is `path_value` with this weight.
@@ -86,7 +84,7 @@ def anneal(
     for i in range(iterations):
         temperature = hot * (cold / hot) ** (i / iterations)
         a, b = _propose(points, new, step, thresholds, state)
-        if a < 0 or not _all_inside(kinds, edges, new, a + 1, b):
+        if a < 0 or not _all_inside(area, new, a + 1, b):
             continue
         end = min(b, last)
         new[a] = points[a]
@@ -167,11 +165,9 @@ def _small_angle(state: StateArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _all_inside(
-    kinds: KindArray, edges: FloatArray, points: FloatArray, first: int, last: int
-) -> bool:
+def _all_inside(area: AreaRaster, points: FloatArray, first: int, last: int) -> bool:
     for i in range(first, last):  # noqa: SIM110 - numba compiles no generators
-        if not inside(kinds, edges, points[i, 0], points[i, 1]):
+        if not inside(area, points[i, 0], points[i, 1]):
             return False
     return True
 

@@ -13,13 +13,12 @@ from wisar_planner.planners.swath_kernels import (
     MEASURE,
     REMOVE,
     Canvas,
-    KindArray,
     TallyArray,
-    inside,
     paint,
     paint_path,
     period_of,
 )
+from wisar_planner.search.area_raster import AreaRaster, inside
 
 # Share of what a step over the best unseen block would gain under which a step is not worth it.
 _FAR_SHARE = 0.1
@@ -28,8 +27,7 @@ _FAR_SHARE = 0.1
 @njit(cache=True, nogil=True)
 def rollout(
     canvas: Canvas,
-    kinds: KindArray,
-    edges: FloatArray,
+    area: AreaRaster,
     radius: float,
     step: float,
     blocks: FloatArray,
@@ -45,7 +43,7 @@ def rollout(
 
     Parameters
     ----------
-    canvas, kinds, edges, radius, step
+    canvas, area, radius, step
         The raster, see `SearchRaster`; nothing is painted on it before and after.
     blocks : (B, 3) float64
         Centre (x, y) and weight of the coarse blocks of the map that a target is chosen from.
@@ -88,7 +86,7 @@ def rollout(
                 if not math.isnan(arrival):
                     angle = arrival + 2.0 * math.pi * k / headings
                 end_x, end_y = x + step * math.cos(angle), y + step * math.sin(angle)
-                if not inside(kinds, edges, end_x, end_y):
+                if not inside(area, end_x, end_y):
                     continue
                 gain = paint(canvas, x, y, end_x, end_y, radius, 0, MEASURE, tally)
                 score = float(gain)
@@ -104,7 +102,7 @@ def rollout(
             arrival = math.nan
         if target >= 0:
             best_heading = _towards(
-                kinds, edges, x, y, blocks[target, 0], blocks[target, 1], step, headings
+                area, x, y, blocks[target, 0], blocks[target, 1], step, headings
             )
         if math.isnan(best_heading):
             break
@@ -124,8 +122,7 @@ def rollout(
 
 @njit(cache=True, nogil=True)
 def _towards(
-    kinds: KindArray,
-    edges: FloatArray,
+    area: AreaRaster,
     x: float,
     y: float,
     goal_x: float,
@@ -139,7 +136,7 @@ def _towards(
         # 0, +1, -1, +2, -2 ... parts of the circle off the straight way.
         turn = ((k + 1) // 2) * (1 if k % 2 else -1) * 2.0 * math.pi / headings
         angle = straight + turn
-        if inside(kinds, edges, x + step * math.cos(angle), y + step * math.sin(angle)):
+        if inside(area, x + step * math.cos(angle), y + step * math.sin(angle)):
             return angle
     return math.nan
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import shapely
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
-from wisar_planner.planners.swath_kernels import Canvas, classify, most_weight
+from wisar_planner.planners.swath_kernels import Canvas, most_weight
+from wisar_planner.search.area_raster import AreaRaster
 from wisar_planner.search.problem import SearchProblem
 
 # Cells per swath radius. A swath 2 r wide covers up to floor(2 r) + 1 rows, and annealing finds the
@@ -46,8 +46,8 @@ class SearchRaster:
         Weight of each cell in units of `unit`, and how often it is covered: zero between uses.
     unit : float
         Probability of a weight of 1.
-    kinds, edges
-        The area, for `swath_kernels.inside`.
+    area : AreaRaster
+        The area.
     radius, step : float
         Swath radius and step length in cells.
     """
@@ -77,9 +77,8 @@ class SearchRaster:
         self.unit = max(float(mass.max()), np.finfo(np.float64).tiny) / most
         self.canvas = Canvas.of(np.floor(mass / self.unit).astype(np.int32))
         # A hair inside the border, so that rounding never puts a waypoint outside.
-        self.edges = self._edges(problem.area.polygon.buffer(-1e-7 * problem.step_length))
-        self.kinds = np.empty(mass.shape, np.uint8)
-        classify(self.kinds, self.edges)
+        within = problem.area.polygon.buffer(-1e-7 * problem.step_length)
+        self.area = AreaRaster.of(within, self.grid)
 
     def to_cells(self, points: FloatArray) -> FloatArray:
         """Return points in metres, (..., 2), as points in cells."""
@@ -88,11 +87,3 @@ class SearchRaster:
     def to_metres(self, points: FloatArray) -> FloatArray:
         """Return points in cells, (..., 2), as points in metres."""
         return (points + 0.5) * self.grid.cell + (self.grid.x0, self.grid.y0)
-
-    def _edges(self, polygon: shapely.Polygon | shapely.MultiPolygon) -> FloatArray:
-        """Return the edges of all rings of a polygon in cells, (E, 4)."""
-        edges = [np.empty((0, 4))]
-        for ring in shapely.get_rings(shapely.get_parts(polygon)):
-            vertices = self.to_cells(shapely.get_coordinates(ring))
-            edges.append(np.concatenate([vertices[:-1], vertices[1:]], axis=1))
-        return np.concatenate(edges)

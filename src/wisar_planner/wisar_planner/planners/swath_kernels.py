@@ -22,14 +22,10 @@ from wisar_planner.planners.cell_vectors import (
     tally_block,
 )
 
-KindArray = npt.NDArray[np.uint8]
 TallyArray = npt.NDArray[np.int64]
 
 # What `paint` does with the cells of a swath.
 REMOVE, MEASURE, ADD = -1, 0, 1
-
-# Kinds of cells with respect to the area.
-OUTSIDE, INSIDE, BORDER = 0, 1, 2
 
 
 class Canvas(NamedTuple):
@@ -277,71 +273,3 @@ def path_value(tally: TallyArray, early_weight: float) -> float:
     the weight seen in all.
     """
     return tally[3] + early_weight / 3.0 * (tally[0] + tally[1] + tally[2])
-
-
-@njit(cache=True, nogil=True)
-def classify(kinds: KindArray, edges: FloatArray) -> None:
-    """Write the kind of every cell.
-
-    Parameters
-    ----------
-    kinds : (rows, columns) uint8
-        INSIDE or OUTSIDE by the cell's centre; BORDER for all cells that an edge touches, and some
-        beside them.
-    edges : (E, 4) float64
-        Edges of all rings of the area, x0, y0, x1, y1.
-    """
-    rows, columns = kinds.shape
-    kinds[:] = OUTSIDE
-    crossings = np.empty(len(edges))
-    for row in range(rows):
-        count = 0
-        for e in range(len(edges)):
-            x0, y0, x1, y1 = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
-            if (y0 > row) != (y1 > row):
-                crossings[count] = x0 + (row - y0) / (y1 - y0) * (x1 - x0)
-                count += 1
-        crossings[:count].sort()
-        for pair in range(0, count - 1, 2):
-            first = max(0, math.ceil(crossings[pair]))
-            last = min(columns - 1, math.floor(crossings[pair + 1]))
-            for column in range(first, last + 1):
-                kinds[row, column] = INSIDE
-    for e in range(len(edges)):
-        x0, y0, x1, y1 = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
-        # Samples a cell apart or closer: the 3 x 3 cells about each hold all that the edge touches.
-        samples = 1 + math.ceil(math.hypot(x1 - x0, y1 - y0))
-        for s in range(samples + 1):
-            share = s / samples
-            row = math.floor(y0 + share * (y1 - y0) + 0.5)
-            column = math.floor(x0 + share * (x1 - x0) + 0.5)
-            for r in range(max(0, row - 1), min(rows, row + 2)):
-                for c in range(max(0, column - 1), min(columns, column + 2)):
-                    kinds[r, c] = BORDER
-
-
-@njit(cache=True, nogil=True)
-def inside(kinds: KindArray, edges: FloatArray, x: float, y: float) -> bool:
-    """Return whether a point lies in the area.
-
-    Parameters
-    ----------
-    kinds : (rows, columns) uint8
-        OUTSIDE, INSIDE or BORDER for each cell.
-    edges : (E, 4) float64
-        Edges of all rings of the area, x0, y0, x1, y1; looked at in border cells alone.
-    x, y : float
-        The point.
-    """
-    row, column = math.floor(y + 0.5), math.floor(x + 0.5)
-    if row < 0 or column < 0 or row >= kinds.shape[0] or column >= kinds.shape[1]:
-        return False
-    kind = kinds[row, column]
-    if kind != BORDER:
-        return kind == INSIDE
-    odd = False
-    for e in range(len(edges)):
-        x0, y0, x1, y1 = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
-        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
-            odd = not odd
-    return odd

@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from array_api_compat import array_namespace, device
 
 from wisar_planner.policy.observation import DIRECTIONS
@@ -26,7 +25,8 @@ GAUSSIAN, DIRECTED = "gaussian", "directed"
 DISTRIBUTIONS = (GAUSSIAN, DIRECTED)
 #: Angle between neighbouring directions, in units of pi.
 SPACING = 2.0 / DIRECTIONS
-_LOG_STD_MIN, _LOG_STD_MAX = -5.0, 0.5
+#: Limits of the logarithm of a Gaussian's standard deviation.
+LOG_STD_MIN, LOG_STD_MAX = -5.0, 0.5
 _ALMOST_ONE = 1.0 - 1e-6
 
 
@@ -45,20 +45,6 @@ def likeliest_turn(output: Array, distribution: str) -> Array:
         return xp.tanh(actor_distribution(output)[0])
     logits, offsets = directions_and_offsets(output)
     return _turn_in(offsets, xp.argmax(logits, axis=-1))
-
-
-def random_turn(
-    output: npt.NDArray[np.float32], distribution: str, rng: np.random.Generator
-) -> npt.NDArray[np.float32]:
-    """Return random turns of the policy; see `likeliest_turn`."""
-    if distribution == GAUSSIAN:
-        mean, log_std = actor_distribution(output)
-        noise = rng.standard_normal(mean.shape, dtype=np.float32)
-        return np.asarray(np.tanh(mean + np.exp(log_std) * noise))
-    logits, offsets = directions_and_offsets(output)
-    # The greatest of logits with Gumbel noise is a draw from their softmax.
-    noise = rng.gumbel(size=logits.shape).astype(np.float32)
-    return np.asarray(_turn_in(offsets, np.argmax(logits + noise, axis=-1)))
 
 
 def directions_and_offsets(output: Array) -> tuple[Array, Array]:
@@ -98,7 +84,7 @@ def actor_distribution(output: Array) -> tuple[Array, Array]:
     turn = xp.atan2(xp.sum(weights * sines, axis=-1), xp.sum(weights * cosines, axis=-1))
     action = xp.clip(turn / math.pi, -_ALMOST_ONE, _ALMOST_ONE)
     certainty = xp.tanh(xp.mean(output[1], axis=-1))
-    log_std = _LOG_STD_MIN + 0.5 * (_LOG_STD_MAX - _LOG_STD_MIN) * (certainty + 1.0)
+    log_std = LOG_STD_MIN + 0.5 * (LOG_STD_MAX - LOG_STD_MIN) * (certainty + 1.0)
     return xp.atanh(action), log_std
 
 

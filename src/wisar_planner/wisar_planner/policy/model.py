@@ -21,12 +21,10 @@ from wisar_planner.policy.heading import (
     ACTOR_OUTPUTS,
     DISTRIBUTIONS,
     GAUSSIAN,
-    likeliest_turn,
-    random_turn,
 )
 from wisar_planner.policy.network import initial_parameters
-from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
-from wisar_planner.policy.ring_kernels import RingWeights, ring_network
+from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH
+from wisar_planner.policy.ring_kernels import RingWeights
 
 #: Name of the policy that the planners load unless told otherwise.
 DEFAULT_MODEL = "sac"
@@ -58,26 +56,16 @@ class Model:
         return distribution_of(self.card)
 
     @cached_property
-    def _ring_weights(self) -> RingWeights:
+    def ring_weights(self) -> RingWeights:
+        """The weights, laid out for `ring_network`."""
         return RingWeights.of(self.weights)
 
-    def turn(
-        self, shown: Observation, rng: np.random.Generator | None = None
-    ) -> npt.NDArray[np.float32]:
-        """Return the turns that it takes, (B,), in units of pi.
-
-        Parameters
-        ----------
-        shown : Observation
-            What the searches show.
-        rng : numpy.random.Generator, optional
-            Source of randomness; without it the most likely turns.
-        """
-        output = np.empty((ACTOR_OUTPUTS, *shown.view.shape[:2]), dtype=np.float32)
-        ring_network(self._ring_weights, shown.view, shown.numbers, output)
-        if rng is not None:
-            return random_turn(output, self.distribution, rng)
-        return np.asarray(likeliest_turn(output, self.distribution))
+    def noise(self, rng: np.random.Generator, searches: int) -> npt.NDArray[np.float32]:
+        """Return draws that make turns random, (searches, DIRECTIONS); see `decide`."""
+        size = (searches, DIRECTIONS)
+        if self.distribution == GAUSSIAN:
+            return rng.standard_normal(size, dtype=np.float32)
+        return rng.gumbel(size=size).astype(np.float32)
 
 
 def distribution_of(card: dict[str, Any]) -> str:

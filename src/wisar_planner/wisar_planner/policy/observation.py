@@ -29,10 +29,10 @@ NUMBERS = 8
 MIDDLE_FROM, COARSE_FROM = 1.5, 6.0
 # Points per step, along and across, that its gain is taken from.
 _ALONG, _ACROSS = 8, 6
-# Greatest density that is shown.
-_BRIGHTEST = 4.0
-# Scales of the steps left.
-_SCALES = (2.0, 8.0, 32.0, 128.0)
+#: Greatest density that is shown.
+BRIGHTEST = 4.0
+#: Scales of the steps left.
+SCALES = (2.0, 8.0, 32.0, 128.0)
 
 
 class Observation(NamedTuple):
@@ -70,38 +70,38 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
     if isinstance(position, np.ndarray):
         return _compiled(unseen, position, heading, steps_left)
     xp = array_namespace(position)
-    fixed = _constants(xp, device(position))
+    fixed = constants(xp, device(position))
     angles = heading[:, None] + fixed.directions
     unit = xp.stack([xp.cos(angles), xp.sin(angles)], axis=-1)  # (B, A, 2)
-    view = xp.minimum(_view(unseen, position, unit, fixed), _BRIGHTEST)
+    view = xp.minimum(_view(unseen, position, unit, fixed), BRIGHTEST)
     middle, coarse = (xp.max(level, axis=(1, 2)) for level in unseen.levels[1:])
-    numbers = [xp.exp(-steps_left / scale) for scale in _SCALES]
+    numbers = [xp.exp(-steps_left / scale) for scale in SCALES]
     numbers += [
         xp.log(steps_left) / 4.0,
         unseen.radius / unseen.step,
-        xp.minimum(middle, _BRIGHTEST),
-        xp.minimum(coarse, _BRIGHTEST),
+        xp.minimum(middle, BRIGHTEST),
+        xp.minimum(coarse, BRIGHTEST),
     ]
     return Observation(view, xp.stack(numbers, axis=-1))
 
 
 def _compiled(unseen: UnseenMap, position: Array, heading: Array, steps_left: Array) -> Observation:
     """Return the same for NumPy."""
-    fixed = _constants(np, device(position))
+    fixed = constants(np, device(position))
     view = np.empty((len(position), DIRECTIONS, VIEW_WIDTH), dtype=np.float32)
     numbers = np.empty((len(position), NUMBERS), dtype=np.float32)
     levels = tuple(unseen.levels)
     unseen_kernels.write_view(
         levels, RATIO, position, heading, fixed.distances, fixed.swath,
-        unseen.step, unseen.radius, _BRIGHTEST, view,
+        unseen.step, unseen.radius, BRIGHTEST, view,
     )  # fmt: skip
     unseen_kernels.write_numbers(
-        levels, steps_left, _SCALES, unseen.step, unseen.radius, _BRIGHTEST, numbers
+        levels, steps_left, SCALES, unseen.step, unseen.radius, BRIGHTEST, numbers
     )
     return Observation(view, numbers)
 
 
-def _view(unseen: UnseenMap, position: Array, unit: Array, fixed: _Constants) -> Array:
+def _view(unseen: UnseenMap, position: Array, unit: Array, fixed: Constants) -> Array:
     """Return the view, (B, DIRECTIONS, VIEW_WIDTH), without its limit."""
     xp = array_namespace(position)
     parts = []
@@ -129,7 +129,7 @@ def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:
         Unit vectors of the steps.
     """
     xp = array_namespace(position)
-    u, v, w = _constants(xp, device(position)).swath
+    u, v, w = constants(xp, device(position)).swath
     ahead = (u * unseen.step[:, None] + w * unseen.radius[:, None])[:, None, :]
     aside = (v * unseen.radius[:, None])[:, None, :]
     x = position[:, 0, None, None] + ahead * unit[..., 0, None] - aside * unit[..., 1, None]
@@ -138,7 +138,7 @@ def step_gains(unseen: UnseenMap, position: Array, unit: Array) -> Array:
     return xp.mean(xp.maximum(density, 0.0), axis=-1)
 
 
-class _Constants(NamedTuple):
+class Constants(NamedTuple):
     """Fixed arrays of the observation.
 
     Attributes
@@ -158,7 +158,7 @@ class _Constants(NamedTuple):
 
 
 @lru_cache
-def _constants(xp: Any, where: Any) -> _Constants:
+def constants(xp: Any, where: Any) -> Constants:
     """Return the fixed arrays in an array library, on a device."""
 
     def array(value: npt.NDArray[Any]) -> Array:
@@ -168,7 +168,7 @@ def _constants(xp: Any, where: Any) -> _Constants:
     along = (np.arange(_ALONG) + 0.5) / _ALONG
     across = 2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0
     u, v = (each.reshape(-1) for each in np.meshgrid(along, across, indexing="ij"))
-    return _Constants(
+    return Constants(
         array(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)),
         tuple(
             array(DISTANCES[(low <= DISTANCES) & (high > DISTANCES)])

@@ -8,18 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import shapely
-from shapely.geometry import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm import Grid
+from wisar_planner.policy.flight_kernels import Flights, fly_step
+from wisar_planner.policy.heading import GAUSSIAN
 from wisar_planner.policy.model import Model
 from wisar_planner.policy.observation import (
+    DIRECTIONS,
     cells_per_step,
-    observe,
+    constants,
     reference_density,
 )
 from wisar_planner.policy.unseen_map import BLOCK, OUTSIDE, UnseenMap, margin, window_side
+from wisar_planner.search.area_raster import AreaRaster
 from wisar_planner.search.problem import SearchProblem
 
 # Cells of the largest raster of one search; a wider search gets coarser cells.
@@ -30,10 +32,6 @@ _MOST_CELLS_TOGETHER = 1 << 23
 _HOME_SIDE, _HOME_RADIUS = 150.0 / 8.0, 2.5 / 8.0
 # Limits of `view_scale`.
 _SCALES = (0.75, 2.4)
-# Turns tried, nearest first, where a step would leave the area.
-_TURNS = np.array(
-    [(-1) ** k * math.ceil(k / 2) * 2.0 * math.pi / 32 for k in range(33)], dtype=np.float64
-)
 
 
 class Terrain(NamedTuple):
@@ -49,6 +47,8 @@ class Terrain(NamedTuple):
         Step length and swath radius in cells.
     scale : float
         See `view_scale`.
+    area : AreaRaster
+        Where steps may end.
     heading : float
         First heading, rad: towards the centre of what is to be seen.
     unit : float
@@ -60,6 +60,7 @@ class Terrain(NamedTuple):
     step: float
     radius: float
     scale: float
+    area: AreaRaster
     heading: float
     unit: float
 
@@ -84,7 +85,10 @@ class Terrain(NamedTuple):
             for length in high - low
         )
         grid = Grid(low[0] - edge * cell, low[1] - edge * cell, cell, columns, rows)
-        inside = cells_inside(problem.area.polygon.buffer(problem.swath_radius), grid)
+        visible = problem.area.polygon.buffer(problem.swath_radius)
+        inside = AreaRaster.of(visible, grid).centres_inside()
+        # A hair inside the border, so that rounding never puts a waypoint outside.
+        within = problem.area.polygon.buffer(-1e-7 * problem.step_length)
         centres = grid.centres()[inside]
         # At the centres, as in training: a tenth of the time of the exact mass of every cell.
         mass = (problem.pdm.density(centres) * cell**2).astype(np.float32)
@@ -98,7 +102,10 @@ class Terrain(NamedTuple):
         reference = reference_density(fresh, np.array([problem.steps], dtype=np.float32))
         density = np.where(density >= 0.0, density / reference, density)
         unit = 2.0 * swath * step * float(reference[0])
-        return cls(density[None], grid, step, swath, scale, math.atan2(toward[1], toward[0]), unit)
+        return cls(
+            density[None], grid, step, swath, scale, AreaRaster.of(within, grid),
+            math.atan2(toward[1], toward[0]), unit,
+        )  # fmt: skip
 
     @property
     def most_searches(self) -> int:
@@ -123,33 +130,6 @@ def view_scale(problem: SearchProblem) -> float:
     radius = problem.swath_radius / problem.step_length
     scale = math.sqrt(radius / _HOME_RADIUS) * (side / _HOME_SIDE) ** 0.25
     return min(max(scale, _SCALES[0]), _SCALES[1])
-
-
-def cells_inside(polygon: Polygon | MultiPolygon, grid: Grid) -> npt.NDArray[np.bool_]:
-    """Return which cells have their centre in a polygon, (rows, columns).
-
-    Only those blocks of cells are looked into that the polygon's border may meet.
-
-    Parameters
-    ----------
-    polygon : Polygon or MultiPolygon
-        The polygon.
-    grid : Grid
-        The cells; rows and columns are multiples of `BLOCK`.
-    """
-    shapely.prepare(polygon)
-    rows, columns = grid.rows // BLOCK, grid.columns // BLOCK
-    x = grid.x0 + grid.cell * BLOCK * np.arange(columns + 1)
-    y = grid.y0 + grid.cell * BLOCK * np.arange(rows + 1)
-    blocks = shapely.box(x[None, :-1], y[:-1, None], x[None, 1:], y[1:, None])
-    whole = shapely.contains_properly(polygon, blocks)
-    i, j = np.nonzero(shapely.intersects(polygon, blocks) & ~whole)
-    inside = np.repeat(np.repeat(whole, BLOCK, axis=0), BLOCK, axis=1)
-    in_block = grid.cell * (np.arange(BLOCK) + 0.5)
-    inside.reshape(rows, BLOCK, columns, BLOCK)[i, :, j, :] = shapely.contains_xy(
-        polygon, x[j][:, None, None] + in_block, y[i][:, None, None] + in_block[:, None]
-    )
-    return inside
 
 
 def fly(
@@ -193,48 +173,28 @@ def fly(
         window_side(terrain.step, terrain.radius),
     )
     origin = np.array([terrain.grid.x0, terrain.grid.y0])
-    position = np.repeat(problem.start[None], count, axis=0)
-    heading = np.full(count, terrain.heading)
-
-    def cells(points: FloatArray) -> npt.NDArray[np.float32]:
-        return ((points - origin) / terrain.grid.cell).astype(np.float32)
-
-    swath = 2.0 * terrain.radius * terrain.step
-    seen = unseen.see(cells(position), cells(position)) * (terrain.unit / swath)
-    waypoints = [position]
+    position = np.repeat((problem.start - origin)[None] / terrain.grid.cell, count, axis=0)
+    start = position.astype(np.float32)
+    seen = unseen.see(start, start).astype(np.float64)
+    fixed = constants(np, "cpu")
+    flights = Flights(
+        tuple(unseen.levels), unseen.before, unseen.step, unseen.radius, unseen.window,
+        fixed.distances, fixed.swath, position, np.full(count, terrain.heading), seen,
+    )  # fmt: skip
+    unit = terrain.unit / (2.0 * terrain.radius * terrain.step)
+    quiet = np.zeros((count, DIRECTIONS), dtype=np.float32)
+    cells = [position.copy()]
     for flown in range(problem.steps):
-        left = np.full(count, (problem.steps - flown) / terrain.scale, dtype=np.float32)
-        shown = observe(unseen, cells(position), heading.astype(np.float32), left)
-        heading = heading + math.pi * model.turn(shown, rng).astype(np.float64)
-        end, heading, possible = _inside(problem, position, heading)
+        possible = fly_step(
+            flights, model.ring_weights, model.distribution == GAUSSIAN, terrain.area,
+            terrain.step, (problem.steps - flown) / terrain.scale,
+            quiet if rng is None else model.noise(rng, count),
+        )  # fmt: skip
         if not possible:
             break
-        seen = seen + unseen.see(cells(position), cells(end)) * (terrain.unit / swath)
-        waypoints.append(end)
-        position = end
-        if on_step is not None and on_step(seen):
+        cells.append(position.copy())
+        if on_step is not None and on_step(flights.seen * unit):
             break
-    return np.stack(waypoints, axis=1)
-
-
-def _inside(
-    problem: SearchProblem, position: FloatArray, heading: FloatArray
-) -> tuple[FloatArray, FloatArray, bool]:
-    """Return the ends and headings of steps, turned as little as keeps them in the area."""
-
-    def ends(headings: FloatArray, start: FloatArray) -> FloatArray:
-        unit = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-        return start + problem.step_length * unit
-
-    end, heading = ends(heading, position), heading.copy()
-    outside = np.flatnonzero(~problem.area.contains(end))
-    if len(outside) == 0:
-        return end, heading, True
-    turned = heading[outside, None] + _TURNS
-    candidates = ends(turned, position[outside, None, :])
-    allowed = problem.area.contains(candidates.reshape(-1, 2)).reshape(turned.shape)
-    first = allowed.argmax(axis=1)
-    rows = np.arange(len(outside))
-    heading[outside] = turned[rows, first]
-    end[outside] = candidates[rows, first]
-    return end, heading, bool(allowed.any(axis=1).all())
+    waypoints = origin + terrain.grid.cell * np.stack(cells, axis=1)
+    waypoints[:, 0] = problem.start
+    return waypoints

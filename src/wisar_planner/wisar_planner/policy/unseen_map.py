@@ -39,17 +39,25 @@ class UnseenMap:
         Swath radius. Positions keep off the raster's border, see `margin`.
     window : int
         Side of the square that a step can touch, see `window_side`.
+
+    Attributes
+    ----------
+    levels : list of (B, rows, columns) float32
+        The rasters, the finest first.
+    step, radius, window
+        As given.
+    before : (B, 2) float32
+        Where the last flight of each search began; NaN before the first.
     """
 
     def __init__(self, density: Array, step: Array, radius: Array, window: int) -> None:
         xp = array_namespace(density)
         self.step, self.radius = step, radius
-        self._window = window
+        self.window = window
         self.levels = [density]
         for _ in range(1, LEVELS):
             self.levels.append(_block_mean(xp, self.levels[-1]))
-        # Where the last flight of each search began; NaN before the first.
-        self._before = xp.full(
+        self.before = xp.full(
             (density.shape[0], 2), math.nan, dtype=step.dtype, device=device(step)
         )
         self._searches = xp.arange(density.shape[0], device=device(density))
@@ -58,7 +66,7 @@ class UnseenMap:
     def arrays(self) -> dict[str, Array]:
         """Return all that changes, by name; written to, it is the state of another search."""
         levels = {f"unseen{i}": level for i, level in enumerate(self.levels)}
-        return {**levels, "step": self.step, "radius": self.radius, "before": self._before}
+        return {**levels, "step": self.step, "radius": self.radius, "before": self.before}
 
     def replace(self, searches: Array, others: UnseenMap) -> None:
         """Continue some searches, given by their numbers, as those of another map of this size."""
@@ -66,7 +74,7 @@ class UnseenMap:
             level[searches] = other
         self.step[searches] = others.step
         self.radius[searches] = others.radius
-        self._before[searches] = others._before
+        self.before[searches] = others.before
 
     def see(self, start: Array, end: Array) -> Array:
         """Take out what straight flights see; return how much that was, (B,), in density x cells.
@@ -82,21 +90,21 @@ class UnseenMap:
             before ended.
         """
         if isinstance(start, np.ndarray):
-            fixed = (self.radius, self._window, BLOCK, RATIO)
-            return unseen_kernels.see(tuple(self.levels), self._before, start, end, *fixed)
+            fixed = (self.radius, self.window, BLOCK, RATIO)
+            return unseen_kernels.see(tuple(self.levels), self.before, start, end, *fixed)
         xp = array_namespace(start)
         rows, columns = self.levels[0].shape[1:]
-        low = 0.5 * (start + end) - 0.5 * (self._window - BLOCK + 1)
+        low = 0.5 * (start + end) - 0.5 * (self.window - BLOCK + 1)
         corner = xp.astype(xp.floor(low / BLOCK), xp.int64) * BLOCK
-        x = xp.clip(corner[:, 0], 0, columns - self._window)[:, None] + self._side
-        y = xp.clip(corner[:, 1], 0, rows - self._window)[:, None] + self._side
+        x = xp.clip(corner[:, 0], 0, columns - self.window)[:, None] + self._side
+        y = xp.clip(corner[:, 1], 0, rows - self.window)[:, None] + self._side
         covered = self._covered(xp, x, y, start, end)
-        earlier = xp.where(xp.isnan(self._before), start, self._before)
+        earlier = xp.where(xp.isnan(self.before), start, self.before)
         overlap = self._covered(xp, x, y, earlier, start)
-        first = xp.isnan(self._before[:, :1, None])
+        first = xp.isnan(self.before[:, :1, None])
         overlap = xp.where(first, 0.0, overlap)
         covered = xp.maximum(covered - overlap, 0.0) / xp.maximum(1.0 - overlap, 1e-6)
-        self._before = start
+        self.before = start
         where = (self._searches[:, None, None], y[:, :, None], x[:, None, :])
         before = self.levels[0][where]
         seen = xp.maximum(before, 0.0) * covered
