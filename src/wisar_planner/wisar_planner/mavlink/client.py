@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, InvalidStateError
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -76,6 +76,14 @@ class _Job:
     exchange: Exchange
     finished: Future[None]
     should_cancel: Callable[[], bool]
+
+    def is_cancelled(self) -> bool:
+        """Whether who waits wants no more; one who cannot be asked does not."""
+        try:
+            return self.should_cancel()
+        except Exception:
+            _log.exception("whether to cancel could not be asked; the exchange is cancelled")
+            return True
 
 
 class MissionClient:
@@ -152,6 +160,11 @@ class MissionClient:
             on_state=lambda opened, text: None if opened else self._session.connection_lost(text),
         )
         self._jobs: deque[_Job] = deque()
+        self._jobs_lock = threading.Lock()
+        self._failure = ""
+        """Why the input-output thread ended by itself; no call can be served any more."""
+        self._ended = False
+        self._job: _Job | None = None
         self._uploading = threading.Lock()
         self._uploaded_at = self._armed_at = -math.inf
         self._closing = False
@@ -193,13 +206,13 @@ class MissionClient:
         """
         session = self._session
         with self._heard:
-            if not self._heard.wait_for(lambda: session.status.connected or self._closing, timeout):
+            if not self._heard.wait_for(lambda: session.status.connected or self._ended, timeout):
                 raise LinkError(
                     f"no heartbeat on {self._connection.connection} within {timeout:g} s; check "
                     "the connection string, the vehicle's power and, if a key file is used, its key"
                 )
-        if session.vehicle is None:
-            raise LinkError("the client was closed")
+        if session.vehicle is None or self._ended:
+            raise LinkError(self._failure or "the client was closed")
         return session.vehicle
 
     # -- missions ------------------------------------------------------------------------------
@@ -255,8 +268,9 @@ class MissionClient:
             )
             self._exchange(transfer, should_cancel)
             if transfer.result is None:
+                code = UploadCode.NO_LINK if self._failure else UploadCode.CANCELLED
                 return UploadResult(
-                    UploadCode.CANCELLED, "the connection was closed", items_total=total
+                    code, self._failure or "the connection was closed", items_total=total
                 )
             self._uploaded_at = time.monotonic()
             return transfer.result
@@ -288,7 +302,9 @@ class MissionClient:
             should_cancel,
         )
         if download.end is not DownloadEnd.COMPLETE:
-            words = download.end.value if download.end is not None else "the client was closed"
+            words = self._failure or "the client was closed"
+            if download.end is not None:
+                words = download.end.value
             if download.result is not None:
                 words = mission_result(download.result)
             raise LinkError(f"reading the {kind.name.lower()} list failed: {words}")
@@ -362,6 +378,8 @@ class MissionClient:
                 text = self._session.vehicle.text if self._session.vehicle is not None else ""
                 said = f" (the vehicle says: {text})" if text else ""
                 raise RefusedError(f"{words}: {command_result(command.result)}{said}")
+            if command.end is None:
+                raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
             if command.end is not RequestEnd.ACCEPTED:
                 raise LinkError(f"{words}: the vehicle does not answer; check the link")
 
@@ -374,8 +392,10 @@ class MissionClient:
         self._closing = True
         self._wake()
         self._thread.join()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
+        with self._jobs_lock:  # nobody may wake a thread that has gone, by a number used anew
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+            self._wake_write = -1
 
     def __enter__(self) -> MissionClient:
         return self
@@ -403,12 +423,13 @@ class MissionClient:
     def _exchange(self, exchange: _E, should_cancel: Callable[[], bool] = lambda: False) -> _E:
         """Run an exchange in the input-output thread and wait for its end."""
         job = _Job(exchange, Future(), should_cancel)
-        self._jobs.append(job)
-        self._wake()
-        if self._closing:
-            job.finished.cancel()
-        with contextlib.suppress(Exception):
-            job.finished.result()
+        with self._jobs_lock:
+            if self._ended:
+                job.finished.set_result(None)
+            else:
+                self._jobs.append(job)
+                self._wake()
+        job.finished.result()
         return exchange
 
     def _wake(self) -> None:
@@ -416,33 +437,45 @@ class MissionClient:
             os.write(self._wake_write, b"\0")
 
     def _run(self) -> None:
+        try:
+            self._serve()
+            self._send(self._session.cancel(time.monotonic()))
+        except Exception as error:
+            _log.exception("the MAVLink connection ended because of an error of this program")
+            self._failure = (
+                f"the connection {self._connection.connection} ended because of an error of this "
+                f"program ({type(error).__name__}: {error}); start it again"
+            )
+        with self._jobs_lock:
+            self._ended = True
+            left = [job for job in (self._job, *self._jobs) if job is not None]
+        if self._failure:
+            self._session.ended(self._failure)
+        for job in left:
+            job.finished.set_result(None)
+        self._connection.close()
+        with self._heard:
+            self._heard.notify_all()
+
+    def _serve(self) -> None:
         session, connection = self._session, self._connection
-        job: _Job | None = None
         while not self._closing:
             now = time.monotonic()
             connection.open()
-            if job is None and self._jobs:
-                job = self._jobs.popleft()
-                self._send(session.begin(job.exchange, now))
-            if job is not None and job.should_cancel():
+            if self._job is None and self._jobs:
+                self._job = self._jobs.popleft()
+                self._send(session.begin(self._job.exchange, now))
+            if self._job is not None and self._job.is_cancelled():
                 self._send(session.cancel(now))
             self._send(session.tick(now))
-            if job is not None and job.exchange.done:
-                job.finished.set_result(None)
-                job = session.exchange = None
+            if self._job is not None and self._job.exchange.done:
+                self._job.finished.set_result(None)
+                self._job = session.exchange = None
                 continue
             wait = min(max(session.deadline - now, 0.0), _LONGEST_WAIT_S)
             for message in connection.receive(wait, self._wake_read):
                 self._send(session.receive(message, time.monotonic()))
             self._drain_wake()
-        self._send(session.cancel(time.monotonic()))
-        for left in (job, *self._jobs):
-            if left is not None:
-                with contextlib.suppress(InvalidStateError):
-                    left.finished.set_result(None)
-        connection.close()
-        with self._heard:
-            self._heard.notify_all()
 
     def _drain_wake(self) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -56,7 +56,10 @@ class Link:
         return self._transport
 
     def open(self) -> bool:
-        """Open the connection if it is closed and it is time to try. Never raises OSError."""
+        """Open the connection if it is closed and it is time to try; return whether it is open.
+
+        Nothing is raised: what is wrong is told by `on_state`, and it is tried again later.
+        """
         if self._transport is not None:
             return True
         now = time.monotonic()
@@ -66,6 +69,9 @@ class Link:
             self._transport = open_transport(self.connection)
         except OSError as error:
             self._lost(f"{self.connection}: {error.strerror or error}")
+            return False
+        except ValueError as error:  # a host that cannot be a name, a port without its driver
+            self._lost(f"{self.connection}: {error}")
             return False
         self._stream = StreamDecoder(self._codec)
         self._retry_pause = _FIRST_RETRY_S

@@ -115,6 +115,10 @@ class Session:
         """Take in that the connection itself is gone; the vehicle may still be flying."""
         self._set_status(LinkStatus(self.status.connected, text))
 
+    def ended(self, text: str) -> None:
+        """Take in that nothing will be heard any more, and why."""
+        self._set_status(LinkStatus(False, text))
+
     def _is_vehicle(self, message: Message) -> bool:
         source, sender = message.get_srcSystem(), message.get_srcComponent()
         vehicle = self.vehicle

@@ -1,0 +1,159 @@
+"""The client's thread: what goes wrong in it ends in words, and never in a silence."""
+
+import contextlib
+import socket
+import threading
+import time
+
+import pytest
+from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.mavlink.client import LinkError, MissionClient
+from wisar_planner.mavlink.codec import Codec
+from wisar_planner.mavlink.mission import build_mission
+from wisar_planner.mavlink.transfer import UploadCode
+
+MISSION = build_mission([(57.0, -4.0), (57.001, -4.0)], altitude_m=40.0, speed=5.0)
+
+
+class FakeVehicle:
+    """A vehicle that beats, and otherwise does what a test says.
+
+    `answer` is called with the vehicle and every message that comes, and returns the answers.
+    """
+
+    def __init__(
+        self, answer=lambda vehicle, message: [], autopilot=mav.MAV_AUTOPILOT_PX4, **state
+    ):
+        self.answer = answer
+        self.autopilot = autopilot
+        self.base_mode, self.custom_mode = 0, 0
+        self.status = mav.MAV_STATE_STANDBY
+        self.beats = True
+        self.heard = []
+        vars(self).update(state)
+        self._codec = Codec(1, 1)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.02)
+        self.connection = f"udpout:127.0.0.1:{self._socket.getsockname()[1]}"
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    @property
+    def armed(self):
+        return bool(self.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    @armed.setter
+    def armed(self, armed):
+        self.base_mode = mav.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+
+    def commands(self, code=None):
+        """The COMMAND_LONG heard, other than requests for telemetry."""
+        sent = [m for m in self.heard if m.get_type() == "COMMAND_LONG"]
+        sent = [m for m in sent if m.command != mav.MAV_CMD_SET_MESSAGE_INTERVAL]
+        return [m for m in sent if code in (None, m.command)]
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stopped.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self):
+        peer, beat_at = None, 0.0
+        while not self._stopped.is_set():
+            now = time.monotonic()
+            if peer is not None and self.beats and now >= beat_at:
+                beat_at = now + 0.1
+                beat = mav.MAVLink_heartbeat_message(
+                    mav.MAV_TYPE_QUADROTOR,
+                    self.autopilot,
+                    self.base_mode,
+                    self.custom_mode,
+                    self.status,
+                    3,
+                )
+                self._socket.sendto(self._codec.encode(beat), peer)
+            with contextlib.suppress(TimeoutError):
+                data, peer = self._socket.recvfrom(65_535)
+                for message in self._codec.decode(data)[0]:
+                    self.heard.append(message)
+                    for out in self.answer(self, message):
+                        self._socket.sendto(self._codec.encode(out), peer)
+
+
+def run(call, *args, **options):
+    """Run a call in a thread that must end; return what it returned or raised."""
+    out = []
+
+    def work():
+        try:
+            out.append(call(*args, **options))
+        except Exception as error:
+            out.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(15.0)
+    assert out, "the call waits for ever"
+    return out[0]
+
+
+# -- mistakes inside ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("connection", ["udpout:a..b:14550", "serial:\0:57600"])
+def test_a_connection_that_cannot_be_is_told_and_tried_again(connection):
+    states = []
+    with MissionClient(connection, on_link=states.append) as client:
+        error = run(client.wait_heartbeat, 0.5)
+        assert isinstance(error, LinkError)
+        assert client._thread.is_alive()
+        assert connection in client.link_status.text
+        assert states
+        assert run(client.upload, MISSION).code is UploadCode.NO_LINK
+
+
+def test_who_cannot_be_asked_whether_to_cancel_has_cancelled(caplog):
+    def gone():
+        raise RuntimeError("the goal handle is gone")
+
+    with FakeVehicle() as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        result = run(client.upload, MISSION, should_cancel=gone)
+        assert result.code is UploadCode.CANCELLED
+        assert "the goal handle is gone" in caplog.text
+        assert client.link_status.connected
+
+
+def test_an_error_inside_ends_every_call_in_words(monkeypatch):
+    with FakeVehicle() as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        began = threading.Event()
+        results = []
+
+        def upload():
+            results.append(client.upload(MISSION, should_cancel=lambda: began.set() or False))
+
+        thread = threading.Thread(target=upload, daemon=True)
+        thread.start()
+        assert began.wait(5.0)
+
+        def fail(*_):
+            raise RuntimeError("a fault")
+
+        monkeypatch.setattr(client._session, "tick", fail)
+        thread.join(5.0)
+        assert results[0].code is UploadCode.NO_LINK
+        assert "a fault" in results[0].error
+        assert not client.link_status.connected
+        assert "a fault" in client.link_status.text
+        for call in (client.download, client.pause, client.wait_heartbeat):
+            error = run(call)
+            assert isinstance(error, LinkError)
+            assert "a fault" in str(error)
+        assert run(client.upload, MISSION).code is UploadCode.NO_LINK
