@@ -9,6 +9,7 @@ from wisar_planner.policy.observation import (
     NUMBERS,
     VIEW_WIDTH,
     observe,
+    observe_in_arrays,
     reference_density,
     step_gains,
 )
@@ -110,7 +111,9 @@ def test_step_gains_are_close_to_the_exact_gains(make_world, fly, radius):
     assert abs(np.mean(errors)) < 0.02 * np.mean(gains)
 
 
-def test_numpy_and_torch_show_the_same(make_world, fly):
+@pytest.mark.parametrize("show", [observe, observe_in_arrays])
+def test_numpy_and_torch_show_the_same(make_world, fly, show):
+    """Compiled and in array operations, as on a GPU."""
     world = make_world(4, 0.25)
     path = world.path(10, 0.6)
     unseen = world.unseen(world.mass * 5e3)
@@ -121,8 +124,9 @@ def test_numpy_and_torch_show_the_same(make_world, fly):
     )
     state = path[-1:], np.float32([1.0]), np.float32([7.0])
     for found, expected in zip(
-        observe(in_torch, *map(torch.tensor, state)), observe(unseen, *state), strict=True
+        show(in_torch, *map(torch.tensor, state)), observe(unseen, *state), strict=True
     ):
+        assert isinstance(found, torch.Tensor)
         np.testing.assert_allclose(found.numpy(), expected, rtol=1e-4, atol=1e-5)
 
 

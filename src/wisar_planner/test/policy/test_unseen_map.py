@@ -54,7 +54,9 @@ def test_nothing_is_seen_twice(make_world, fly):
     assert gains[2] < 0.01 * gains[1]
 
 
-def test_numpy_and_torch_see_the_same(make_world, fly):
+@pytest.mark.parametrize("see", [UnseenMap.see, UnseenMap.see_in_arrays])
+def test_numpy_and_torch_see_the_same(make_world, fly, see):
+    """Compiled and in array operations, as on a GPU."""
     world = make_world(4, 0.2)
     unseen = world.unseen(world.mass, world.mass.T)
     in_torch = UnseenMap(
@@ -65,7 +67,8 @@ def test_numpy_and_torch_see_the_same(make_world, fly):
     gains = fly(unseen, path)
     before = np.concatenate([path[:1], path[:-1]])
     for start, end, expected in zip(before, path, gains, strict=True):
-        gain = in_torch.see(*(torch.tensor(np.tile(point, (2, 1))) for point in (start, end)))
+        gain = see(in_torch, *(torch.tensor(np.tile(point, (2, 1))) for point in (start, end)))
+        assert isinstance(gain, torch.Tensor)
         np.testing.assert_allclose(gain.numpy(), expected, rtol=1e-4, atol=1e-8)
     for level, expected in zip(in_torch.levels, unseen.levels, strict=True):
         np.testing.assert_allclose(level.numpy(), expected, rtol=1e-4, atol=1e-9)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from array_api_compat import array_namespace, device
 
 from wisar_planner.policy import unseen_kernels
-from wisar_planner.policy.unseen_map import RATIO, Array, UnseenMap
+from wisar_planner.policy.unseen_map import RATIO, Array, UnseenMap, in_main_memory
 
 #: Changes with every change of what follows; a model serves only the version it was trained on.
 VERSION = 1
@@ -67,8 +67,15 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
     steps_left : (B,) float32
         Steps that they have left.
     """
-    if isinstance(position, np.ndarray):
+    if in_main_memory(position):
         return _compiled(unseen, position, heading, steps_left)
+    return observe_in_arrays(unseen, position, heading, steps_left)
+
+
+def observe_in_arrays(
+    unseen: UnseenMap, position: Array, heading: Array, steps_left: Array
+) -> Observation:
+    """Return what `observe` returns by array operations, for any device."""
     xp = array_namespace(position)
     fixed = constants(xp, device(position))
     angles = heading[:, None] + fixed.directions
@@ -86,19 +93,20 @@ def observe(unseen: UnseenMap, position: Array, heading: Array, steps_left: Arra
 
 
 def _compiled(unseen: UnseenMap, position: Array, heading: Array, steps_left: Array) -> Observation:
-    """Return the same for NumPy."""
-    fixed = constants(np, device(position))
+    """Return the same by compiled kernels."""
+    fixed = constants(np, "cpu")
     view = np.empty((len(position), DIRECTIONS, VIEW_WIDTH), dtype=np.float32)
     numbers = np.empty((len(position), NUMBERS), dtype=np.float32)
-    levels = tuple(unseen.levels)
-    unseen_kernels.write_view(
-        levels, RATIO, position, heading, fixed.distances, fixed.swath,
-        unseen.step, unseen.radius, BRIGHTEST, view,
-    )  # fmt: skip
-    unseen_kernels.write_numbers(
-        levels, steps_left, SCALES, unseen.step, unseen.radius, BRIGHTEST, numbers
+    levels = unseen.levels_in_memory()
+    where, ahead, left, step, radius = (
+        np.asarray(each) for each in (position, heading, steps_left, unseen.step, unseen.radius)
     )
-    return Observation(view, numbers)
+    unseen_kernels.write_view(
+        levels, RATIO, where, ahead, fixed.distances, fixed.swath, step, radius, BRIGHTEST, view
+    )
+    unseen_kernels.write_numbers(levels, left, SCALES, step, radius, BRIGHTEST, numbers)
+    xp = array_namespace(position)
+    return Observation(xp.asarray(view), xp.asarray(numbers))
 
 
 def _view(unseen: UnseenMap, position: Array, unit: Array, fixed: Constants) -> Array:

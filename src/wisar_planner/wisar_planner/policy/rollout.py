@@ -182,7 +182,7 @@ def fly(
     seen = unseen.see(start, start).astype(np.float64)
     fixed = constants(np, "cpu")
     flights = Flights(
-        tuple(unseen.levels), unseen.before, unseen.step, unseen.radius, unseen.window,
+        unseen.levels_in_memory(), unseen.before, unseen.step, unseen.radius, unseen.window,
         fixed.distances, fixed.swath, position, np.full(count, terrain.heading), seen,
     )  # fmt: skip
     unit = terrain.unit / (2.0 * terrain.radius * terrain.step)

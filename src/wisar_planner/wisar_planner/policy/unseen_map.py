@@ -68,6 +68,11 @@ class UnseenMap:
         levels = {f"unseen{i}": level for i, level in enumerate(self.levels)}
         return {**levels, "step": self.step, "radius": self.radius, "before": self.before}
 
+    def levels_in_memory(self) -> unseen_kernels.Levels:
+        """Return the rasters for compiled kernels: NumPy arrays that share their memory."""
+        fine, middle, coarse = (np.asarray(level) for level in self.levels)
+        return fine, middle, coarse
+
     def replace(self, searches: Array, others: UnseenMap) -> None:
         """Continue some searches, given by their numbers, as those of another map of this size."""
         for level, other in zip(self.levels, others.levels, strict=True):
@@ -89,9 +94,16 @@ class UnseenMap:
             Ends of the flights, not longer than fit into the window; each begins where the one
             before ended.
         """
-        if isinstance(start, np.ndarray):
-            fixed = (self.radius, self.window, BLOCK, RATIO)
-            return unseen_kernels.see(tuple(self.levels), self.before, start, end, *fixed)
+        if not in_main_memory(start):
+            return self.see_in_arrays(start, end)
+        gain = unseen_kernels.see(
+            self.levels_in_memory(), np.asarray(self.before), np.asarray(start), np.asarray(end),
+            np.asarray(self.radius), self.window, BLOCK, RATIO,
+        )  # fmt: skip
+        return array_namespace(start).asarray(gain)
+
+    def see_in_arrays(self, start: Array, end: Array) -> Array:
+        """Do what `see` does in array operations, for any device."""
         xp = array_namespace(start)
         rows, columns = self.levels[0].shape[1:]
         low = 0.5 * (start + end) - 0.5 * (self.window - BLOCK + 1)
@@ -104,7 +116,7 @@ class UnseenMap:
         first = xp.isnan(self.before[:, :1, None])
         overlap = xp.where(first, 0.0, overlap)
         covered = xp.maximum(covered - overlap, 0.0) / xp.maximum(1.0 - overlap, 1e-6)
-        self.before = start
+        self.before[...] = start
         where = (self._searches[:, None, None], y[:, :, None], x[:, None, :])
         before = self.levels[0][where]
         seen = xp.maximum(before, 0.0) * covered
@@ -169,6 +181,11 @@ class UnseenMap:
         first = (self._searches * (rows * columns) + shift).reshape((-1, *(1,) * (cells.ndim - 2)))
         index = xp.astype(cells[..., 1] * columns + cells[..., 0], xp.int64)
         return raster.reshape((-1,))[index + first]
+
+
+def in_main_memory(array: Array) -> bool:
+    """Return whether compiled kernels can work on an array: NumPy's, or PyTorch's on the CPU."""
+    return str(device(array)) == "cpu"
 
 
 def margin(step: float, radius: float) -> int:
