@@ -157,3 +157,93 @@ def test_an_error_inside_ends_every_call_in_words(monkeypatch):
             assert isinstance(error, LinkError)
             assert "a fault" in str(error)
         assert run(client.upload, MISSION).code is UploadCode.NO_LINK
+
+
+# -- requests beside a transfer -------------------------------------------------------------------
+
+
+def acknowledge(vehicle, message, result=mav.MAV_RESULT_ACCEPTED):
+    """Acknowledge every command."""
+    if message.get_type() != "COMMAND_LONG":
+        return []
+    return [mav.MAVLink_command_ack_message(message.command, result, 0, 0, 245, 190)]
+
+
+def wait_for(condition, timeout=10.0):
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def in_background(call, *args):
+    """Run a call beside the block; gives a list into which its end goes."""
+    out = []
+
+    def work():
+        try:
+            out.append(call(*args))
+        except Exception as error:
+            out.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    yield out
+    thread.join(15.0)
+    assert out, "the call waits for ever"
+
+
+def generic(answer):
+    return FakeVehicle(answer, autopilot=mav.MAV_AUTOPILOT_GENERIC)
+
+
+def test_a_return_does_not_wait_for_an_upload():
+    with generic(acknowledge) as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        done = threading.Event()
+        upload = lambda: client.upload(MISSION, should_cancel=done.is_set)  # noqa: E731
+        with in_background(upload) as result:
+            wait_for(lambda: any("MISSION_" in m.get_type() for m in vehicle.heard))
+            began = time.monotonic()
+            client.return_to_launch()
+            assert time.monotonic() - began < 3.0
+            assert result == []  # the upload goes on
+            done.set()
+        assert result[0].code is UploadCode.CANCELLED
+
+
+def test_a_return_does_not_wait_for_another_request():
+    def only_returns(vehicle, message):
+        if getattr(message, "command", None) == mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return acknowledge(vehicle, message)
+        return []
+
+    with generic(only_returns) as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        with in_background(client.pause) as paused:
+            wait_for(lambda: vehicle.commands())
+            began = time.monotonic()
+            client.return_to_launch()
+            assert time.monotonic() - began < 3.0
+        assert "return to launch was asked for" in str(paused[0])
+        sent = len(vehicle.commands(mav.MAV_CMD_DO_PAUSE_CONTINUE))
+        time.sleep(1.0)
+        assert len(vehicle.commands(mav.MAV_CMD_DO_PAUSE_CONTINUE)) == sent
+
+
+def test_a_second_request_is_refused_while_one_is_in_progress():
+    """Requests that wait would take the threads that a cancel or a return needs."""
+    with generic(lambda *_: []) as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        with in_background(client.disarm) as disarmed:
+            wait_for(lambda: vehicle.commands())
+            for _ in range(3):
+                with pytest.raises(LinkError, match="in progress"):
+                    client.resume()
+            assert disarmed == []
+            with in_background(client.pause) as paused:
+                wait_for(lambda: vehicle.commands(mav.MAV_CMD_DO_PAUSE_CONTINUE))
+                vehicle.answer = acknowledge
+        assert paused == [None]
+        assert "pause was asked for" in str(disarmed[0])

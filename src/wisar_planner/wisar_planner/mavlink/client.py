@@ -9,9 +9,9 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
@@ -26,7 +26,7 @@ from wisar_planner.mavlink.link import Link
 from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
 from wisar_planner.mavlink.modes import Intent, commands_for
-from wisar_planner.mavlink.session import LinkStatus, Session
+from wisar_planner.mavlink.session import LinkStatus, Session, Slot
 from wisar_planner.mavlink.transfer import (
     UPLOAD_ORDER,
     MissionTransfer,
@@ -86,12 +86,24 @@ class _Job:
             return True
 
 
+@dataclass
+class _Lane:
+    """The exchanges of one slot: the one in progress, and those that follow it."""
+
+    slot: Slot
+    waiting: deque[_Job] = field(default_factory=deque)
+    job: _Job | None = None
+
+
 class MissionClient:
     """A ground station's end of the conversation with one vehicle.
 
     One thread does all input and output; the methods may be called from any thread, and wait for
-    their result. Exchanges follow one another; they never overlap. Nothing is ever armed, started
-    or flown unless `arm`, `start_mission`, `pause` or `return_to_launch` is called.
+    their result. Transfers follow one another; requests to the vehicle go out beside them. `pause`
+    and `return_to_launch` wait for nothing: a request still in progress is given up for them. Of
+    the others only one is in progress at a time, further ones are refused. Nothing is ever armed,
+    started or flown unless `arm`, `start_mission`, `resume`, `pause` or `return_to_launch` is
+    called.
 
     Parameters
     ----------
@@ -159,12 +171,13 @@ class MissionClient:
             Codec(system, component, key=key),
             on_state=lambda opened, text: None if opened else self._session.connection_lost(text),
         )
-        self._jobs: deque[_Job] = deque()
+        self._lanes = {slot: _Lane(slot) for slot in Slot}
         self._jobs_lock = threading.Lock()
         self._failure = ""
         """Why the input-output thread ended by itself; no call can be served any more."""
         self._ended = False
-        self._job: _Job | None = None
+        self._requesting = threading.Lock()
+        self._urgent: list[str] = []  # requests that waited for nothing, in words, oldest first
         self._uploading = threading.Lock()
         self._uploaded_at = self._armed_at = -math.inf
         self._closing = False
@@ -320,12 +333,14 @@ class MissionClient:
         """
         if self._require_vehicle().armed:
             return  # above all, no change of mode in flight
-        self._request("ARM", Intent.ARM)
+        with self._asking("ARM") as check:
+            self._request("ARM", Intent.ARM, check)
         self._armed_at = time.monotonic()
 
     def disarm(self) -> None:
         """Stop the motors; vehicles refuse it in the air."""
-        self._request("DISARM", Intent.DISARM)
+        with self._asking("DISARM") as check:
+            self._request("DISARM", Intent.DISARM, check)
 
     def start_mission(self) -> None:
         """Fly the mission from its first item.
@@ -339,46 +354,98 @@ class MissionClient:
             If the vehicle is not armed, refuses or does not answer.
         """
         words = "start of the mission"
-        deadline = self._armed_at + _ARMING_SHOWS_WITHIN_S
-        while not self._require_vehicle().armed:
-            if time.monotonic() >= deadline:
-                raise LinkError(f"{words}: the vehicle is not armed; arm it first")
-            time.sleep(0.05)
-        deadline = self._uploaded_at + _MISSION_CHECKED_WITHIN_S
-        while True:
-            try:
-                self._request(words, Intent.START)
-            except RefusedError:
+        with self._asking(words) as check:
+            deadline = self._armed_at + _ARMING_SHOWS_WITHIN_S
+            while not self._require_vehicle().armed:
+                check()
                 if time.monotonic() >= deadline:
-                    raise
-                time.sleep(_START_AGAIN_AFTER_S)
-            else:
-                return
+                    raise LinkError(f"{words}: the vehicle is not armed; arm it first")
+                time.sleep(0.05)
+            deadline = self._uploaded_at + _MISSION_CHECKED_WITHIN_S
+            while True:
+                try:
+                    self._request(words, Intent.START, check)
+                except RefusedError:
+                    if time.monotonic() >= deadline:
+                        raise
+                    time.sleep(_START_AGAIN_AFTER_S)
+                else:
+                    return
 
     def pause(self) -> None:
-        """Stop and hold the position."""
-        self._request("pause", Intent.PAUSE)
+        """Stop and hold the position; a request still in progress is given up for it."""
+        with self._asking("pause", urgent=True) as check:
+            self._request("pause", Intent.PAUSE, check)
 
     def resume(self) -> None:
         """Go on with the mission from where it was paused."""
-        self._request("resume", Intent.RESUME)
+        with self._asking("resume") as check:
+            self._request("resume", Intent.RESUME, check)
 
     def return_to_launch(self) -> None:
-        """Fly home and land."""
-        self._request("return to launch", Intent.RETURN)
+        """Fly home and land; a request still in progress is given up for it."""
+        with self._asking("return to launch", urgent=True) as check:
+            self._request("return to launch", Intent.RETURN, check)
 
-    def _request(self, words: str, intent: Intent) -> None:
+    @contextlib.contextmanager
+    def _asking(self, words: str, *, urgent: bool = False) -> Iterator[Callable[[], None]]:
+        """Make a request to the vehicle.
+
+        Parameters
+        ----------
+        words
+            What is asked for.
+        urgent
+            Whether it waits for no other request: the others are given up for it.
+
+        Yields
+        ------
+        callable
+            To be called before each step; raises LinkError when the request is to be given up.
+        """
+        if urgent:
+            self._urgent.append(words)
+        elif not self._requesting.acquire(blocking=False):
+            raise LinkError(
+                f"{words}: another request to the vehicle is in progress; wait for its answer"
+            )
+        before = len(self._urgent)
+
+        def check() -> None:
+            if len(self._urgent) > before:
+                raise LinkError(f"{words}: given up, as {self._urgent[before]} was asked for")
+
+        try:
+            yield check
+        finally:
+            if not urgent:
+                self._requesting.release()
+
+    def _request(self, words: str, intent: Intent, check: Callable[[], None]) -> None:
+        """Ask for one intent, step by step, for as long as `check` raises nothing."""
+
+        def is_given_up() -> bool:
+            try:
+                check()
+            except LinkError:
+                return True
+            return False
+
         state = self._require_vehicle()
         steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
         for code, params in steps:
+            check()
             command = self._exchange(
-                Command(code, params, self._target(state), link=self._links.asking)
+                Command(code, params, self._target(state), link=self._links.asking),
+                is_given_up,
+                Slot.COMMAND,
             )
+            check()
             if command.end is RequestEnd.REFUSED and command.result is not None:
                 text = self._session.vehicle.text if self._session.vehicle is not None else ""
                 said = f" (the vehicle says: {text})" if text else ""
                 raise RefusedError(f"{words}: {command_result(command.result)}{said}")
-            if command.end is None:
+            if command.end is None or command.end is RequestEnd.CANCELLED:
                 raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
             if command.end is not RequestEnd.ACCEPTED:
                 raise LinkError(f"{words}: the vehicle does not answer; check the link")
@@ -420,14 +487,19 @@ class MissionClient:
     def _target(state: VehicleState) -> Address:
         return Address(state.system, state.component)
 
-    def _exchange(self, exchange: _E, should_cancel: Callable[[], bool] = lambda: False) -> _E:
+    def _exchange(
+        self,
+        exchange: _E,
+        should_cancel: Callable[[], bool] = lambda: False,
+        slot: Slot = Slot.TRANSFER,
+    ) -> _E:
         """Run an exchange in the input-output thread and wait for its end."""
         job = _Job(exchange, Future(), should_cancel)
         with self._jobs_lock:
             if self._ended:
                 job.finished.set_result(None)
             else:
-                self._jobs.append(job)
+                self._lanes[slot].waiting.append(job)
                 self._wake()
         job.finished.result()
         return exchange
@@ -439,7 +511,8 @@ class MissionClient:
     def _run(self) -> None:
         try:
             self._serve()
-            self._send(self._session.cancel(time.monotonic()))
+            for slot in self._lanes:
+                self._send(self._session.cancel(time.monotonic(), slot))
         except Exception as error:
             _log.exception("the MAVLink connection ended because of an error of this program")
             self._failure = (
@@ -448,7 +521,8 @@ class MissionClient:
             )
         with self._jobs_lock:
             self._ended = True
-            left = [job for job in (self._job, *self._jobs) if job is not None]
+            lanes = self._lanes.values()
+            left = [job for lane in lanes for job in (lane.job, *lane.waiting) if job is not None]
         if self._failure:
             self._session.ended(self._failure)
         for job in left:
@@ -462,20 +536,33 @@ class MissionClient:
         while not self._closing:
             now = time.monotonic()
             connection.open()
-            if self._job is None and self._jobs:
-                self._job = self._jobs.popleft()
-                self._send(session.begin(self._job.exchange, now))
-            if self._job is not None and self._job.is_cancelled():
-                self._send(session.cancel(now))
+            for lane in self._lanes.values():
+                self._begin_or_cancel(lane, now)
             self._send(session.tick(now))
-            if self._job is not None and self._job.exchange.done:
-                self._job.finished.set_result(None)
-                self._job = session.exchange = None
+            ended = [self._finish(lane) for lane in self._lanes.values()]
+            if any(ended):
                 continue
             wait = min(max(session.deadline - now, 0.0), _LONGEST_WAIT_S)
             for message in connection.receive(wait, self._wake_read):
                 self._send(session.receive(message, time.monotonic()))
             self._drain_wake()
+
+    def _begin_or_cancel(self, lane: _Lane, now: float) -> None:
+        if lane.job is not None and lane.job.is_cancelled():
+            self._send(self._session.cancel(now, lane.slot))
+            self._finish(lane)
+        if lane.job is None and lane.waiting:
+            lane.job = lane.waiting.popleft()
+            self._send(self._session.begin(lane.job.exchange, now, lane.slot))
+
+    def _finish(self, lane: _Lane) -> bool:
+        """Tell who waits that the exchange in progress has ended; return whether it has."""
+        if lane.job is None or not lane.job.exchange.done:
+            return False
+        lane.job.finished.set_result(None)
+        self._session.finish(lane.slot)
+        lane.job = None
+        return True
 
     def _drain_wake(self) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
@@ -34,8 +35,19 @@ class LinkStatus:
     text: str
 
 
+class Slot(Enum):
+    """Which exchanges follow one another; those of different slots go on side by side.
+
+    The messages of a transfer (MISSION_*) and of a command (COMMAND_*) are never taken for one
+    another, and a return to launch must not wait for a transfer's end.
+    """
+
+    TRANSFER = "transfer"
+    COMMAND = "command"
+
+
 class Session:
-    """Listens to one vehicle, keeps its state, and leads one exchange at a time.
+    """Listens to one vehicle, keeps its state, and leads one exchange per slot at a time.
 
     Telemetry that the vehicle does not send by itself is asked for.
 
@@ -66,7 +78,7 @@ class Session:
     ) -> None:
         self.vehicle: VehicleState | None = None
         self.status = LinkStatus(False, "no heartbeat heard yet")
-        self.exchange: Exchange | None = None
+        self._exchanges: dict[Slot, Exchange] = {}
         self._address = address
         self._name = name
         self._wanted = (target_system, target_component)
@@ -77,26 +89,35 @@ class Session:
         self._next_heartbeat = -math.inf
 
     @property
+    def exchange(self) -> Exchange | None:
+        """The transfer in progress, or the last one."""
+        return self._exchanges.get(Slot.TRANSFER)
+
+    @property
     def deadline(self) -> float:
         """When `tick` wants to be called next."""
-        exchange = self.exchange
-        return min(self._next_heartbeat, exchange.deadline if exchange is not None else math.inf)
+        return min(self._next_heartbeat, *(e.deadline for e in self._exchanges.values()), math.inf)
 
-    def begin(self, exchange: Exchange, now: float) -> list[Message]:
-        """Start an exchange; the one before must have ended."""
-        self.exchange = exchange
+    def begin(self, exchange: Exchange, now: float, slot: Slot = Slot.TRANSFER) -> list[Message]:
+        """Start an exchange; the one before in this slot must have ended."""
+        self._exchanges[slot] = exchange
         return exchange.start(now)
 
-    def cancel(self, now: float) -> list[Message]:
-        """End the exchange in progress, if there is one."""
-        return [] if self.exchange is None else self.exchange.cancel(now)
+    def finish(self, slot: Slot) -> None:
+        """Forget the exchange of a slot."""
+        self._exchanges.pop(slot, None)
+
+    def cancel(self, now: float, slot: Slot) -> list[Message]:
+        """End the exchange in progress in a slot, if there is one."""
+        exchange = self._exchanges.get(slot)
+        return [] if exchange is None else exchange.cancel(now)
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """Take in a message and return the answers."""
         if not (self._is_vehicle(message) and self._is_for_us(message)):
             return []
         self._track(message, now)
-        return [] if self.exchange is None else self.exchange.on_message(message, now)
+        return [m for e in self._exchanges.values() for m in e.on_message(message, now)]
 
     def tick(self, now: float) -> list[Message]:
         """Let time pass: heartbeats, repetitions, noticing a lost link."""
@@ -107,8 +128,8 @@ class Session:
             self._watch(now)
             if self._streams is not None and self.status.connected:
                 out += self._streams.due(now)
-        if self.exchange is not None:
-            out += self.exchange.on_time(now)
+        for exchange in self._exchanges.values():
+            out += exchange.on_time(now)
         return out
 
     def connection_lost(self, text: str) -> None:
