@@ -25,7 +25,7 @@ from wisar_planner.mavlink.exchange import Address, Exchange
 from wisar_planner.mavlink.link import Link
 from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
-from wisar_planner.mavlink.modes import Intent, commands_for
+from wisar_planner.mavlink.modes import Intent, commands_for, shown_by
 from wisar_planner.mavlink.session import LinkStatus, Session, Slot
 from wisar_planner.mavlink.transfer import (
     UPLOAD_ORDER,
@@ -436,7 +436,15 @@ class MissionClient:
         for code, params in steps:
             check()
             command = self._exchange(
-                Command(code, params, self._target(state), link=self._links.asking),
+                Command(
+                    code,
+                    params,
+                    self._target(state),
+                    link=self._links.asking,
+                    shown_by=shown_by(code, params, state.autopilot, state.vehicle_type),
+                    # A start that was heard begins the mission anew each time it is sent.
+                    insists=code != mav.MAV_CMD_MISSION_START,
+                ),
                 is_given_up,
                 Slot.COMMAND,
             )
@@ -447,6 +455,11 @@ class MissionClient:
                 raise RefusedError(f"{words}: {command_result(command.result)}{said}")
             if command.end is None or command.end is RequestEnd.CANCELLED:
                 raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
+            if command.end is RequestEnd.UNCHANGED:
+                raise LinkError(
+                    f"{words}: the vehicle acknowledged, but its heartbeat does not show it; look "
+                    "at the vehicle, then ask again"
+                )
             if command.end is not RequestEnd.ACCEPTED:
                 raise LinkError(f"{words}: the vehicle does not answer; check the link")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from enum import Enum
 
 from pymavlink.dialects.v20 import common as mav
@@ -19,6 +21,8 @@ class RequestEnd(Enum):
     REFUSED = "refused"
     SILENT = "the autopilot did not answer"
     CANCELLED = "cancelled"
+    UNCHANGED = "the vehicle acknowledged, but did not change"
+    WITHDRAWN = "no longer safe to ask for"
 
 
 class _Request:
@@ -116,6 +120,10 @@ class Clear(_Request):
 class Command(_Request):
     """State machine that sends one COMMAND_LONG.
 
+    A COMMAND_ACK tells which command it answers, but not which of two with other parameters: the
+    late one of a repeated pause looks like that of a return. Where the heartbeat shows what was
+    asked for, only that counts.
+
     Parameters
     ----------
     command
@@ -124,7 +132,19 @@ class Command(_Request):
         Parameters 1 to 7; those left out are 0.
     target
         The autopilot.
+    shown_by
+        Says of a HEARTBEAT whether it shows what was asked for; None believes the acknowledgement.
+    insists
+        Whether it is sent again when it was acknowledged and the heartbeat does not show it.
+    limit_s
+        After so many seconds it is given up; None takes the patience of the link's policy.
+    objection
+        Called with the time before each sending; words say why it must not be sent (again).
     """
+
+    # Heartbeats come once per second; one that left the vehicle before the change is no answer.
+    _SHOWS_WITHIN_S = 2.5
+    _SHOWS_AFTER_S = 0.5
 
     def __init__(
         self,
@@ -133,11 +153,22 @@ class Command(_Request):
         target: Address,
         *,
         link: LinkEstimate,
+        shown_by: Callable[[Message], bool] | None = None,
+        insists: bool = True,
+        limit_s: float | None = None,
+        objection: Callable[[float], str] = lambda _: "",
     ) -> None:
         super().__init__(link)
         self._command = command
         self._params = (*params, *(0.0,) * (7 - len(params)))
         self._target = target
+        self._shown_by = shown_by
+        self._insists = insists
+        self._limit_s = limit_s
+        self._objection = objection
+        self._acknowledged_at = math.inf
+        self.why = ""
+        """Why it was withdrawn."""
 
     def _message(self) -> Message:
         return mav.MAVLink_command_long_message(
@@ -148,13 +179,70 @@ class Command(_Request):
             *self._params,
         )
 
-    def on_message(self, message: Message, now: float) -> list[Message]:
-        """Take in the answer."""
-        if self.done or message.get_type() != "COMMAND_ACK" or message.command != self._command:
+    @property
+    def _acknowledged(self) -> bool:
+        return math.isfinite(self._acknowledged_at)
+
+    def _ask(self, now: float) -> list[Message]:
+        self.why = self._objection(now)
+        if self.why:
+            self._finish(RequestEnd.WITHDRAWN)
             return []
-        if message.result == mav.MAV_RESULT_IN_PROGRESS:
-            self._tries = 1
-            self._deadline = now + self._link.policy.max_timeout
-        else:
-            self._answer(message.result, message.result == mav.MAV_RESULT_ACCEPTED, now)
+        out = super()._ask(now)
+        if self._acknowledged:
+            self._deadline = now + self._SHOWS_WITHIN_S
+        self._deadline = min(self._deadline, self._ends_at)
+        return out
+
+    @property
+    def _ends_at(self) -> float:
+        """When it is given up at the latest."""
+        if self._limit_s is not None:
+            return self._began_at + self._limit_s
+        return self._began_at + self._link.policy.patience_s if self._acknowledged else NEVER
+
+    def on_time(self, now: float) -> list[Message]:
+        """Send the command again, or give up."""
+        if self.done or now < self._deadline:
+            return []
+        if now >= self._ends_at:
+            self._finish(RequestEnd.UNCHANGED if self._acknowledged else RequestEnd.SILENT)
+            return []
+        if self._acknowledged:
+            if self._insists:
+                return self._ask(now)
+            self._deadline = self._ends_at
+            return []
+        return super().on_time(now)
+
+    def on_message(self, message: Message, now: float) -> list[Message]:
+        """Take in the answer, or a heartbeat that shows what came of it."""
+        if self.done:
+            return []
+        if message.get_type() == "HEARTBEAT":
+            self._on_heartbeat(message, now)
+        elif message.get_type() == "COMMAND_ACK" and message.command == self._command:
+            self._on_ack(message.result, now)
         return []
+
+    def _on_ack(self, result: int, now: float) -> None:
+        if result == mav.MAV_RESULT_IN_PROGRESS:
+            self._tries = 1
+            self._deadline = min(now + self._link.policy.max_timeout, self._ends_at)
+            return
+        if result != mav.MAV_RESULT_ACCEPTED or self._shown_by is None:
+            self._answer(result, result == mav.MAV_RESULT_ACCEPTED, now)
+            return
+        if not self._acknowledged:
+            self._link.answered(self._tries, now - self._began_at)
+            self.result = result
+        self._acknowledged_at = now
+        self._deadline = min(now + self._SHOWS_WITHIN_S, self._ends_at)
+
+    def _on_heartbeat(self, message: Message, now: float) -> None:
+        if self._shown_by is None or not self._acknowledged:
+            return
+        if self._shown_by(message):
+            self._finish(RequestEnd.ACCEPTED)
+        elif now >= self._acknowledged_at + self._SHOWS_AFTER_S and self._insists:
+            self._deadline = now  # it did not happen: ask again at once

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 
 from pymavlink.dialects.v20 import common as mav
+
+from wisar_planner.mavlink.codec import Message
 
 Commands = tuple[tuple[int, tuple[float, ...]], ...]
 """MAV_CMD codes with their parameters, to be sent one after the other."""
@@ -24,13 +27,17 @@ class Intent(Enum):
 # PX4 custom mode: main mode 4 is AUTO, its sub-modes as in px4_custom_mode.h.
 _PX4_AUTO = 4.0
 _PX4_SUB_MODES = {Intent.PAUSE: 3.0, Intent.RESUME: 4.0, Intent.RETURN: 5.0}
+_PX4_FLIES = frozenset({2, 4, 5, 8, 10})  # takeoff, mission, return, follow, VTOL takeoff
 
 # ArduPilot mode numbers; copters pause in BRAKE, because LOITER obeys the throttle stick.
 _COPTER_MODES = {Intent.START: 3.0, Intent.PAUSE: 17.0, Intent.RESUME: 3.0, Intent.RETURN: 6.0}
 # In these a copter refuses to be armed (it is left in AUTO or RTL after a flight); GUIDED waits.
-_COPTER_NOT_ARMABLE = frozenset({3, 6, 9, 17, 21})  # AUTO, RTL, LAND, BRAKE, SMART_RTL
+_COPTER_NOT_ARMABLE = frozenset({3, 6, 9, 17, 21, 27})  # AUTO, RTL, LAND, BRAKE, SMART, AUTO RTL
+_COPTER_FLIES = frozenset({3, 6, 21, 27})
 _COPTER_GUIDED = 4.0
 _PLANE_MODES = {Intent.START: 10.0, Intent.PAUSE: 12.0, Intent.RESUME: 10.0, Intent.RETURN: 11.0}
+
+_PLANE_FLIES = frozenset({10, 11, 13, 21})  # AUTO, RTL, TAKEOFF, QRTL
 
 _PLANE_TYPES = frozenset(
     {
@@ -83,3 +90,66 @@ def _set_mode(mode: float, sub_mode: float = 0.0) -> tuple[int, tuple[float, ...
         mav.MAV_CMD_DO_SET_MODE,
         (float(mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), mode, sub_mode),
     )
+
+
+def _custom_mode(mode: float, sub_mode: float, autopilot: int) -> int:
+    """Return the custom mode that the heartbeat shows after DO_SET_MODE."""
+    if autopilot == mav.MAV_AUTOPILOT_PX4:
+        return int(mode) << 16 | int(sub_mode) << 24
+    return int(mode)
+
+
+def is_armed(heartbeat: Message) -> bool:
+    """Whether a HEARTBEAT says that the motors may turn."""
+    return bool(heartbeat.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+
+
+def shown_by(
+    command: int, params: tuple[float, ...], autopilot: int, vehicle_type: int
+) -> Callable[[Message], bool] | None:
+    """Return what says of a HEARTBEAT whether it shows what a command asked for.
+
+    Parameters
+    ----------
+    command, params
+        One of the steps of `commands_for`.
+    autopilot, vehicle_type
+        As for `commands_for`.
+
+    Returns
+    -------
+    callable or None
+        None where a heartbeat cannot show it.
+    """
+    if command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
+        wanted = params[0] == 1.0
+        return lambda heartbeat: is_armed(heartbeat) is wanted
+    if command == mav.MAV_CMD_DO_SET_MODE:
+        mode = _custom_mode(params[1], params[2], autopilot)
+        return lambda heartbeat: heartbeat.custom_mode == mode
+    if command == mav.MAV_CMD_MISSION_START and autopilot != mav.MAV_AUTOPILOT_GENERIC:
+        return lambda heartbeat: (
+            is_armed(heartbeat) and flies_mission(autopilot, vehicle_type, heartbeat.custom_mode)
+        )
+    return None
+
+
+def flies_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
+    """Whether a vehicle in this mode flies its mission; False where modes are not known."""
+    if autopilot == mav.MAV_AUTOPILOT_PX4:
+        sub_mode = _PX4_SUB_MODES[Intent.RESUME]
+        return custom_mode & 0xFFFF0000 == _custom_mode(_PX4_AUTO, sub_mode, autopilot)
+    if autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        modes = _PLANE_MODES if vehicle_type in _PLANE_TYPES else _COPTER_MODES
+        return custom_mode == int(modes[Intent.START])
+    return False
+
+
+def flies_by_itself(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
+    """Whether a vehicle in this mode flies off once it is armed; False where not known."""
+    if autopilot == mav.MAV_AUTOPILOT_PX4:
+        main, sub_mode = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        return main == int(_PX4_AUTO) and sub_mode in _PX4_FLIES
+    if autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        return custom_mode in (_PLANE_FLIES if vehicle_type in _PLANE_TYPES else _COPTER_FLIES)
+    return False

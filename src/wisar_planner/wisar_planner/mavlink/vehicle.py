@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.codec import Message
 from wisar_planner.mavlink.dialect import GENERIC, Dialect, dialect_of
+from wisar_planner.mavlink.modes import is_armed
 
 _NO_HEADING = 65_535
 
@@ -77,7 +78,7 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
             "autopilot": message.autopilot,
             "vehicle_type": message.type,
             "custom_mode": message.custom_mode,
-            "armed": bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED),
+            "armed": is_armed(message),
             "heard_at": now,
         }
     if name == "GLOBAL_POSITION_INT":

@@ -25,6 +25,8 @@ _STREAMS = {
     "landed": mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
 }
 _DEFAULT_INTERVALS = {"position": 0.25, "current": 1.0, "home": 2.0, "landed": 1.0}
+# These come as often along the way as at normal speed.
+_AS_DENSE = frozenset({"heartbeat", "position", "landed"})
 _STREAM_NAMES = {code: name for name, code in _STREAMS.items()}
 
 # Custom modes by profile: what the heartbeat shows and what DO_SET_MODE is given.
@@ -35,7 +37,14 @@ _PX4_MODES = {
     (4, 5): Mode.RETURN,
     (4, 6): Mode.LAND,
 }
-_COPTER_MODES = {3: Mode.MISSION, 4: Mode.HOLD, 5: Mode.HOLD, 17: Mode.HOLD, 6: Mode.RETURN}
+_COPTER_MODES = {
+    3: Mode.MISSION,
+    4: Mode.HOLD,
+    5: Mode.HOLD,
+    17: Mode.HOLD,
+    6: Mode.RETURN,
+    9: Mode.LAND,
+}
 
 
 class Autopilot:
@@ -80,6 +89,7 @@ class Autopilot:
         self.missions = MissionServer(profile, self._home_item, self._list_changed)
         self._speed_up = speed_up
         self._outbox: list[Message] = []
+        self._copter_mode = 4  # the number last asked for; several stand for a hold
         self._booted_at: float | None = None
         self._ticked_at = 0.0
         self._startable_at = -math.inf
@@ -143,7 +153,7 @@ class Autopilot:
         ):
             every = 1.0 if name == "heartbeat" else self._every.get(name)
             if every is not None and now >= self._due.get(name, 0.0):
-                if name == "position":  # as dense along the way as at normal speed
+                if name in _AS_DENSE:
                     every /= self._speed_up
                 self._due[name] = now + max(every, 1.0 / _MOST_MESSAGES_PER_S)
                 self._outbox.append(send())
@@ -173,7 +183,9 @@ class Autopilot:
     def _custom_mode(self) -> int:
         mode = self.vehicle.mode
         if self.profile.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
-            return next((n for n, m in _COPTER_MODES.items() if m is mode), 9)
+            if _COPTER_MODES.get(self._copter_mode) is mode:
+                return self._copter_mode
+            return next(n for n, m in _COPTER_MODES.items() if m is mode)
         return next((main << 16 | sub << 24 for (main, sub), m in _PX4_MODES.items() if m is mode))
 
     def _position(self) -> Message:
@@ -303,6 +315,7 @@ class Autopilot:
             return int(mav.MAV_RESULT_DENIED)
         if self.profile.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
             mode = _COPTER_MODES.get(int(params[1]))
+            self._copter_mode = int(params[1])
         else:
             mode = _PX4_MODES.get((int(params[1]), int(params[2])))
         if mode is None:
@@ -312,6 +325,7 @@ class Autopilot:
     def _set_custom_mode(self, custom_mode: int) -> None:
         if self.profile.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
             mode = _COPTER_MODES.get(custom_mode)
+            self._copter_mode = custom_mode
         else:
             mode = _PX4_MODES.get((custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF))
         if mode is not None:
