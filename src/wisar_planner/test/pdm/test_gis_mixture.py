@@ -128,6 +128,66 @@ def test_an_area_file_replaces_the_area(tmp_path):
         load_map(path, area=path)
 
 
+def square(x0, y0, x1, y1, **properties):
+    """A feature with a rectangle in degrees."""
+    ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
+    geometry = {"type": "Polygon", "coordinates": [ring]}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+AREA = square(-5.0, 56.7, -4.98, 56.71, role="search_area")
+
+
+@pytest.mark.parametrize(
+    "properties",
+    [{"role": "keep_out"}, {"kind": "keep_out"}, {"role": "Keep-Out"}, {"kind": "no fly zone"}],
+    ids=str,
+)
+@pytest.mark.parametrize("others", [[], [AREA]], ids=["alone", "beside-an-area"])
+def test_a_zone_to_keep_out_of_is_never_searched(tmp_path, properties, others):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    zone = square(-4.98, 56.7, -4.97, 56.71, **properties)
+    area = write(tmp_path / "area.geojson", collection(*others, zone))
+    message = rf"area\.geojson: features\[{len(others)}\]: keep_out zones are not supported; cut"
+    with pytest.raises(InvalidInput, match=message):
+        load_map(path, area=area)
+
+
+def test_of_an_area_file_the_search_areas_count_if_it_names_any(tmp_path):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    lake = square(-4.98, 56.7, -4.97, 56.71, name="lake")
+    alone, both, neither = (
+        load_map(path, area=write(tmp_path / "area.geojson", collection(*features))).area
+        for features in ([AREA], [lake, AREA], [lake, {**AREA, "properties": None}])
+    )
+    assert both.equals(alone)
+    assert neither.area == pytest.approx(1.5 * alone.area, rel=1e-3)
+    line = {"type": "LineString", "coordinates": [[-5.0, 56.7], [-4.98, 56.7]]}
+    wrong = {"type": "Feature", "geometry": line, "properties": {"role": "search_area"}}
+    with pytest.raises(InvalidInput, match=r"features\[1\]\.geometry\.type must be Polygon"):
+        load_map(path, area=write(tmp_path / "area.geojson", collection(lake, wrong)))
+
+
+def test_polygons_in_a_geometry_collection_count(tmp_path):
+    far = square(-4.98, 56.7, -4.97, 56.71)
+    line = {"type": "LineString", "coordinates": [[-5.0, 56.7], [-4.98, 56.7]]}
+    both = {"type": "GeometryCollection", "geometries": [far["geometry"], line, AREA["geometry"]]}
+    plain = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    marked = {"type": "Feature", "geometry": both, "properties": {"role": "search_area"}}
+    full = write(
+        tmp_path / "full.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30), marked)
+    )
+    one = load_map(plain, area=write(tmp_path / "one.geojson", AREA)).area.area
+    for area in (both, collection(AREA, {**marked, "properties": {"role": "search_area"}})):
+        wide = load_map(plain, area=write(tmp_path / "area.geojson", area)).area
+        assert wide.area == pytest.approx(1.5 * one, rel=1e-3)
+    assert load_map(full).area.area == pytest.approx(1.5 * one, rel=1e-3)
+    for members, message in ((None, "must be a list"), ([both], "a collection in a collection")):
+        area = {"type": "GeometryCollection", "geometries": members}
+        with pytest.raises(InvalidInput, match=message):
+            load_map(plain, area=write(tmp_path / "area.geojson", area))
+
+
 def test_an_area_cut_by_the_antimeridian_becomes_one(tmp_path):
     def strip(x0, x1):
         return [[[x0, -17.0], [x1, -17.0], [x1, -16.99], [x0, -16.99], [x0, -17.0]]]

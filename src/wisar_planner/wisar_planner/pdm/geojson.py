@@ -7,7 +7,8 @@ order. Documents of the 2008 draft that name another in a ``crs`` member are ref
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
@@ -21,6 +22,11 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.geodesy import LocalFrame
 
 Area: TypeAlias = Polygon | MultiPolygon
+
+SEARCH_AREA = "search_area"
+"""Role of the polygons to search."""
+
+_FORBIDDEN = ("keep_out", "keepout", "no_fly", "no_fly_zone", "exclusion")
 
 _WGS84_NAMES = ("CRS84", "EPSG::4326", "EPSG:4326")
 
@@ -76,6 +82,50 @@ def features_of(document: dict[str, Any], where: str) -> list[dict[str, Any]]:
         if not isinstance(feature.setdefault("properties", {}) or {}, dict):
             raise InvalidInput(f"{where}: features[{i}].properties must be an object")
     return features
+
+
+def role_of(feature: dict[str, Any], where: str) -> str | None:
+    """Return what a feature says it is for: its property ``role`` or, without one, ``kind``.
+
+    Raises
+    ------
+    InvalidInput
+        If either says that it is a zone that must not be flown over.
+    """
+    properties = feature["properties"] or {}
+    given = [properties.get(name) for name in ("role", "kind")]
+    roles = [
+        "_".join(re.split(r"[\s_-]+", text.lower())) for text in given if isinstance(text, str)
+    ]
+    if any(role in _FORBIDDEN for role in roles):
+        # To ignore it would be to fly where someone forbade it.
+        raise InvalidInput(
+            f"{where}: keep_out zones are not supported; "
+            "cut the zone out of the search_area polygon (a hole) and remove the feature"
+        )
+    return roles[0] if roles else None
+
+
+def polygons_in(geometry: dict[str, Any], where: str) -> Iterator[tuple[dict[str, Any], str]]:
+    """Yield each Polygon and MultiPolygon geometry, those in collections too, and its place.
+
+    Raises
+    ------
+    InvalidInput
+        If a GeometryCollection is malformed or nested too deeply.
+    """
+    kind = geometry.get("type")
+    if kind in ("Polygon", "MultiPolygon"):
+        yield geometry, where
+    elif kind == "GeometryCollection":
+        members = geometry.get("geometries")
+        if not isinstance(members, list) or not all(isinstance(m, dict) for m in members):
+            raise InvalidInput(f"{where}.geometries must be a list of geometries")
+        for i, member in enumerate(members):
+            if member.get("type") == "GeometryCollection":
+                # RFC 7946 advises against it, and no GIS writes it.
+                raise InvalidInput(f"{where}.geometries[{i}] is a collection in a collection")
+            yield from polygons_in(member, f"{where}.geometries[{i}]")
 
 
 def position(value: Any, where: str) -> tuple[float, float]:
@@ -164,7 +214,9 @@ def union_of(polygons: Sequence[Area], where: str) -> Area:
 
 
 def load_area(path: Path, frame: LocalFrame) -> Area:
-    """Read a search area: every polygon of a GeoJSON file, joined.
+    """Read a search area: the polygons of a GeoJSON file, joined.
+
+    If any feature has the role ``search_area``, these features alone; every polygon otherwise.
 
     Parameters
     ----------
@@ -176,18 +228,23 @@ def load_area(path: Path, frame: LocalFrame) -> Area:
     Raises
     ------
     InvalidInput
-        If the file is wrong or has no polygon.
+        If the file is wrong, has no polygon, or has a zone that must not be flown over.
     OSError
         If it cannot be read.
     """
-    polygons = [
-        polygon_from_geometry(feature["geometry"], frame, f"{path}: features[{i}].geometry")
-        for i, feature in enumerate(features_of(read_geojson(path), str(path)))
-        if feature["geometry"].get("type") in ("Polygon", "MultiPolygon")
-    ]
-    if not polygons:
+    marked, found = [], []
+    for i, feature in enumerate(features_of(read_geojson(path), str(path))):
+        where = f"{path}: features[{i}]"
+        polygons = list(polygons_in(feature["geometry"], f"{where}.geometry"))
+        if role_of(feature, where) == SEARCH_AREA:
+            # What is no polygon is refused there: a search area must not shrink in silence.
+            marked.extend(polygons or [(feature["geometry"], f"{where}.geometry")])
+        found.extend(polygons)
+    chosen = marked or found
+    if not chosen:
         raise InvalidInput(f"{path}: no Polygon in it; draw the search area as a polygon")
-    return union_of(polygons, f"{path}: the area")
+    parts = [polygon_from_geometry(geometry, frame, where) for geometry, where in chosen]
+    return union_of(parts, f"{path}: the area")
 
 
 def _local_ring(ring: Any, frame: LocalFrame, where: str) -> Any:

@@ -9,7 +9,8 @@ the mean; its properties are ``weight`` and one of
   its long axis, degrees clockwise from north.
 
 Polygon features with the property ``role: search_area`` are the search area, in its absence a
-rectangle of three standard deviations around the components. The role ``keep_out`` is reserved.
+rectangle of three standard deviations around the components. The role ``keep_out`` is refused.
+The property ``kind`` stands for ``role`` where there is none.
 The foreign member ``origin``, ``[longitude, latitude]`` with an optional altitude, is where the
 local metres are measured from; without it, the middle of the points.
 """
@@ -27,12 +28,15 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.gaussian_mixture import GaussianMixture
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_planner.pdm.geojson import (
+    SEARCH_AREA,
     Area,
     features_of,
     polygon_from_geometry,
     polygon_to_geometry,
+    polygons_in,
     position,
     read_geojson,
+    role_of,
     union_of,
 )
 from wisar_planner.pdm.loaded_map import LoadedMap
@@ -63,19 +67,15 @@ def load_geojson_mixture(path: Path, origin: GeoOrigin | None = None) -> LoadedM
     for i, feature in enumerate(features_of(document, str(path))):
         where = f"{path}: features[{i}]"
         geometry, properties = feature["geometry"], feature["properties"] or {}
-        role = properties.get("role")
+        role = role_of(feature, where)
         if geometry.get("type") == "Point":
             weights.append(number(properties.get("weight"), f"{where}.properties.weight"))
             covariances.append(_covariance(properties, f"{where}.properties"))
             places.append(position(geometry.get("coordinates"), f"{where}.geometry.coordinates"))
-        elif role == "search_area":
-            polygons.append((geometry, f"{where}.geometry"))
-        elif role == "keep_out":
-            # To ignore it would be to fly where someone forbade it.
-            raise InvalidInput(
-                f"{where}: keep_out zones are not supported; "
-                "cut the zone out of the search_area polygon (a hole) and remove the feature"
-            )
+        elif role == SEARCH_AREA:
+            found = list(polygons_in(geometry, f"{where}.geometry"))
+            # What is no polygon is refused where it is projected.
+            polygons.extend(found or [(geometry, f"{where}.geometry")])
         else:
             raise InvalidInput(
                 f"{where} is a {geometry.get('type')} with role {role!r}; a component is a Point "
@@ -128,7 +128,7 @@ def save_geojson_mixture(
     search_area = {
         "type": "Feature",
         "geometry": polygon_to_geometry(area, frame),
-        "properties": {"role": "search_area"},
+        "properties": {"role": SEARCH_AREA},
     }
     document = {
         "type": "FeatureCollection",
