@@ -31,7 +31,8 @@ class FakeVehicle:
         self.status = mav.MAV_STATE_STANDBY
         self.beats = True
         self.heard = []
-        vars(self).update(state)
+        for name, value in state.items():
+            setattr(self, name, value)
         self._codec = Codec(1, 1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
@@ -238,12 +239,76 @@ def test_a_second_request_is_refused_while_one_is_in_progress():
         client.wait_heartbeat()
         with in_background(client.disarm) as disarmed:
             wait_for(lambda: vehicle.commands())
-            for _ in range(3):
+            for call in (client.resume, client.arm, client.disarm):
                 with pytest.raises(LinkError, match="in progress"):
-                    client.resume()
+                    call()
             assert disarmed == []
             with in_background(client.pause) as paused:
                 wait_for(lambda: vehicle.commands(mav.MAV_CMD_DO_PAUSE_CONTINUE))
                 vehicle.answer = acknowledge
         assert paused == [None]
         assert "pause was asked for" in str(disarmed[0])
+
+
+# -- requests that are not made -------------------------------------------------------------------
+
+HOLD, IN_MISSION, RETURNING, TAKEOFF = (4 << 16 | sub << 24 for sub in (3, 4, 5, 2))
+
+
+@contextlib.contextmanager
+def talking_to(*args, **state):
+    """A vehicle in a state, and a client that has heard of it."""
+    with FakeVehicle(*args, **state) as vehicle, MissionClient(vehicle.connection) as client:
+        client.wait_heartbeat()
+        yield vehicle, client
+
+
+def test_a_start_ends_when_the_vehicle_is_disarmed_meanwhile():
+    with talking_to(armed=True, custom_mode=HOLD) as (vehicle, client):
+        with in_background(client.start_mission) as started:
+            wait_for(lambda: vehicle.commands(mav.MAV_CMD_MISSION_START))
+            vehicle.armed = False
+        assert "no longer armed; start again" in str(started[0])
+        sent = len(vehicle.commands())
+        time.sleep(1.0)
+        assert len(vehicle.commands()) == sent
+
+
+@pytest.mark.parametrize("name", ["arm", "start_mission"])
+def test_arming_and_start_are_given_up_soon(name):
+    with talking_to(armed=name != "arm", custom_mode=HOLD) as (_, client):
+        began = time.monotonic()
+        with pytest.raises(LinkError, match="does not answer"):
+            getattr(client, name)()
+        assert time.monotonic() - began < 5.0
+
+
+@pytest.mark.parametrize("mode", [IN_MISSION, RETURNING, TAKEOFF])
+def test_a_vehicle_that_would_fly_off_is_not_armed(mode):
+    with talking_to(acknowledge, custom_mode=mode) as (vehicle, client):
+        with pytest.raises(LinkError, match="call pause first"):
+            client.arm()
+        assert vehicle.commands() == []
+
+
+def test_resume_needs_an_armed_vehicle_in_the_air():
+    with talking_to(acknowledge, custom_mode=HOLD) as (vehicle, client):
+        with pytest.raises(LinkError, match="not armed"):
+            client.resume()
+        assert vehicle.commands() == []
+    ardupilot = {"autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA, "custom_mode": 17}
+    with talking_to(acknowledge, armed=True, **ardupilot) as (vehicle, client):
+        with pytest.raises(LinkError, match="on the ground"):
+            client.resume()
+        assert vehicle.commands() == []
+        vehicle.status = mav.MAV_STATE_ACTIVE
+        wait_for(lambda: client.vehicle.landed is False)
+
+        def obey(vehicle, message):
+            if getattr(message, "command", 0) == mav.MAV_CMD_DO_SET_MODE:
+                vehicle.custom_mode = int(message.param2)
+            return acknowledge(vehicle, message)
+
+        vehicle.answer = obey
+        client.resume()
+        assert vehicle.custom_mode == 3

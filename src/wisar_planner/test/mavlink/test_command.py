@@ -117,6 +117,28 @@ def test_an_acknowledged_start_is_not_sent_again():
     assert now == pytest.approx(3.0, abs=0.15)
 
 
+def test_a_start_is_not_repeated_for_long():
+    machine = command(Intent.START, insists=False, limit_s=3.0)
+    assert len(machine.start(0.0)) == 1
+    sent, now = run_out(machine, 0.0, HOLD)
+    assert machine.end is RequestEnd.SILENT
+    assert len(sent) > 2
+    assert max(sent) < now == pytest.approx(3.0, abs=0.15)
+
+
+def test_nothing_is_sent_again_that_has_become_unsafe():
+    said = ""
+    machine = command(Intent.START, insists=False, limit_s=3.0, objection=lambda _: said)
+    assert len(machine.start(0.0)) == 1
+    assert len(machine.on_time(machine.deadline)) == 1
+    said = "no longer armed"
+    assert machine.on_time(machine.deadline) == []
+    assert (machine.end, machine.why) == (RequestEnd.WITHDRAWN, said)
+    unsafe_from_the_start = command(Intent.START, objection=lambda _: said)
+    assert unsafe_from_the_start.start(0.0) == []
+    assert unsafe_from_the_start.end is RequestEnd.WITHDRAWN
+
+
 # -- modes ----------------------------------------------------------------------------------------
 
 

@@ -25,7 +25,7 @@ from wisar_planner.mavlink.exchange import Address, Exchange
 from wisar_planner.mavlink.link import Link
 from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
-from wisar_planner.mavlink.modes import Intent, commands_for, shown_by
+from wisar_planner.mavlink.modes import Intent, commands_for, flies_by_itself, shown_by
 from wisar_planner.mavlink.session import LinkStatus, Session, Slot
 from wisar_planner.mavlink.transfer import (
     UPLOAD_ORDER,
@@ -38,7 +38,9 @@ from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.mavlink.wording import command_result, mission_result
 
 _LONGEST_WAIT_S = 0.25
-_ARMING_SHOWS_WITHIN_S = 5.0
+# A late arming or start takes off when nobody expects it any more.
+_ARMED_WITHIN_S = 3.0
+_FRESH_S = 3.0  # a heartbeat older than this proves nothing
 # PX4 checks a new mission for about a second, and denies its start until then.
 _MISSION_CHECKED_WITHIN_S = 5.0
 _START_AGAIN_AFTER_S = 0.25
@@ -179,7 +181,8 @@ class MissionClient:
         self._requesting = threading.Lock()
         self._urgent: list[str] = []  # requests that waited for nothing, in words, oldest first
         self._uploading = threading.Lock()
-        self._uploaded_at = self._armed_at = -math.inf
+        self._starting = False
+        self._uploaded_at = -math.inf
         self._closing = False
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
@@ -326,16 +329,21 @@ class MissionClient:
     # -- explicit requests to the vehicle ------------------------------------------------------
 
     def arm(self) -> None:
-        """Arm the motors. Raises LinkError if the vehicle refuses or does not answer.
+        """Arm the motors.
 
         A copter of ArduPilot that still is in the mode of an earlier flight, in which it cannot
-        be armed, is put into GUIDED first.
+        be armed, is put into GUIDED first. Others are not armed in a mode in which they would fly
+        off at once.
+
+        Raises
+        ------
+        LinkError
+            If the mode is such a one, or the vehicle refuses or is not armed within three seconds.
         """
         if self._require_vehicle().armed:
             return  # above all, no change of mode in flight
         with self._asking("ARM") as check:
-            self._request("ARM", Intent.ARM, check)
-        self._armed_at = time.monotonic()
+            self._request("ARM", Intent.ARM, check, self._against_arming)
 
     def disarm(self) -> None:
         """Stop the motors; vehicles refuse it in the air."""
@@ -351,20 +359,17 @@ class MissionClient:
         Raises
         ------
         LinkError
-            If the vehicle is not armed, refuses or does not answer.
+            If the vehicle is not armed, refuses or does not answer within three seconds, or an
+            upload is in progress.
         """
         words = "start of the mission"
-        with self._asking(words) as check:
-            deadline = self._armed_at + _ARMING_SHOWS_WITHIN_S
-            while not self._require_vehicle().armed:
-                check()
-                if time.monotonic() >= deadline:
-                    raise LinkError(f"{words}: the vehicle is not armed; arm it first")
-                time.sleep(0.05)
+        if not self._require_vehicle().armed:
+            raise LinkError(f"{words}: the vehicle is not armed; arm it first")
+        with self._asking(words) as check, self._as_starting():
             deadline = self._uploaded_at + _MISSION_CHECKED_WITHIN_S
             while True:
                 try:
-                    self._request(words, Intent.START, check)
+                    self._request(words, Intent.START, check, self._against_starting)
                 except RefusedError:
                     if time.monotonic() >= deadline:
                         raise
@@ -378,9 +383,18 @@ class MissionClient:
             self._request("pause", Intent.PAUSE, check)
 
     def resume(self) -> None:
-        """Go on with the mission from where it was paused."""
-        with self._asking("resume") as check:
-            self._request("resume", Intent.RESUME, check)
+        """Go on with the mission from where it was paused.
+
+        On the ground this would make the next arming a takeoff, so that it is refused there.
+
+        Raises
+        ------
+        LinkError
+            If the vehicle is not armed or not in the air, refuses or does not answer, or an upload
+            is in progress.
+        """
+        with self._asking("resume") as check, self._as_starting():
+            self._request("resume", Intent.RESUME, check, self._against_resuming)
 
     def return_to_launch(self) -> None:
         """Fly home and land; a request still in progress is given up for it."""
@@ -421,8 +435,54 @@ class MissionClient:
             if not urgent:
                 self._requesting.release()
 
-    def _request(self, words: str, intent: Intent, check: Callable[[], None]) -> None:
-        """Ask for one intent, step by step, for as long as `check` raises nothing."""
+    @contextlib.contextmanager
+    def _as_starting(self) -> Iterator[None]:
+        self._starting = True
+        try:
+            yield
+        finally:
+            self._starting = False
+
+    # What speaks against sending a request now, in words; asked before each (re)sending.
+
+    def _against_starting(self, now: float) -> str:
+        vehicle = self._session.vehicle
+        if self._uploading.locked():
+            return "an upload is in progress; wait for its end"
+        if vehicle is None or now - vehicle.heard_at > _FRESH_S:
+            return f"no heartbeat for {_FRESH_S:g} s; check the link, then start again"
+        return "" if vehicle.armed else "the vehicle is no longer armed; start again"
+
+    def _against_resuming(self, now: float) -> str:
+        vehicle = self._session.vehicle
+        if vehicle is not None and not vehicle.armed:
+            return "the vehicle is not armed; arm it, then call start_mission"
+        if vehicle is not None and vehicle.landed:
+            return "the vehicle is on the ground; call start_mission"
+        return self._against_starting(now)
+
+    def _against_arming(self, now: float) -> str:
+        vehicle = self._session.vehicle
+        if vehicle is None or now - vehicle.heard_at > _FRESH_S:
+            return f"no heartbeat for {_FRESH_S:g} s; check the link, then arm again"
+        if flies_by_itself(vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode):
+            return (
+                "the vehicle is in a mode (mission, takeoff or return) in which it would fly off "
+                "at once; call pause first"
+            )
+        return ""
+
+    def _request(
+        self,
+        words: str,
+        intent: Intent,
+        check: Callable[[], None],
+        objection: Callable[[float], str] = lambda _: "",
+    ) -> None:
+        """Ask for one intent, step by step, for as long as `check` raises nothing.
+
+        `objection` says in words what speaks against sending at a time, see `Command`.
+        """
 
         def is_given_up() -> bool:
             try:
@@ -435,6 +495,7 @@ class MissionClient:
         steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
         for code, params in steps:
             check()
+            makes_armable = intent is Intent.ARM and code == mav.MAV_CMD_DO_SET_MODE
             command = self._exchange(
                 Command(
                     code,
@@ -444,6 +505,8 @@ class MissionClient:
                     shown_by=shown_by(code, params, state.autopilot, state.vehicle_type),
                     # A start that was heard begins the mission anew each time it is sent.
                     insists=code != mav.MAV_CMD_MISSION_START,
+                    limit_s=_ARMED_WITHIN_S if intent in (Intent.ARM, Intent.START) else None,
+                    objection=(lambda _: "") if makes_armable else objection,
                 ),
                 is_given_up,
                 Slot.COMMAND,
@@ -455,6 +518,8 @@ class MissionClient:
                 raise RefusedError(f"{words}: {command_result(command.result)}{said}")
             if command.end is None or command.end is RequestEnd.CANCELLED:
                 raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
+            if command.end is RequestEnd.WITHDRAWN:
+                raise LinkError(f"{words}: {command.why}")
             if command.end is RequestEnd.UNCHANGED:
                 raise LinkError(
                     f"{words}: the vehicle acknowledged, but its heartbeat does not show it; look "

@@ -27,6 +27,8 @@ class VehicleState:
         The autopilot's own number of its mode.
     armed
         Whether the motors may turn.
+    landed
+        Whether the vehicle stands on the ground; None where it does not tell.
     heard_at
         Monotonic time in seconds of the last heartbeat.
     latitude, longitude
@@ -52,6 +54,7 @@ class VehicleState:
     vehicle_type: int = mav.MAV_TYPE_GENERIC
     custom_mode: int = 0
     armed: bool = False
+    landed: bool | None = None
     heard_at: float = 0.0
     latitude: float | None = None
     longitude: float | None = None
@@ -70,11 +73,24 @@ class VehicleState:
         return dialect_of(self.autopilot) if self.heard_at else GENERIC
 
 
+_LANDED = {
+    mav.MAV_LANDED_STATE_ON_GROUND: True,
+    mav.MAV_LANDED_STATE_IN_AIR: False,
+    mav.MAV_LANDED_STATE_TAKEOFF: False,
+    mav.MAV_LANDED_STATE_LANDING: False,
+}
+# ArduPilot tells it by the heartbeat; others are ACTIVE as soon as they are armed.
+_ARDUPILOT_LANDED = {mav.MAV_STATE_STANDBY: True, mav.MAV_STATE_ACTIVE: False}
+
+
 def changes(state: VehicleState, message: Message, now: float) -> dict[str, object]:
     """Return the fields of `state` that a telemetry message replaces; empty if none."""
     name = message.get_type()
     if name == "HEARTBEAT":
+        ardupilot = message.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA
+        status = message.system_status
         return {
+            "landed": _ARDUPILOT_LANDED.get(status) if ardupilot else state.landed,
             "autopilot": message.autopilot,
             "vehicle_type": message.type,
             "custom_mode": message.custom_mode,
@@ -93,6 +109,8 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
             "velocity": (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01),
             "heading": message.hdg * 0.01 * 0.017453292519943295 if known else None,
         }
+    if name == "EXTENDED_SYS_STATE" and state.autopilot != mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        return {"landed": _LANDED.get(message.landed_state)}
     if name == "HOME_POSITION":
         return {
             "home": (message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)

@@ -175,7 +175,9 @@ class Autopilot:
         base = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mav.MAV_MODE_FLAG_GUIDED_ENABLED
         if self.vehicle.armed:
             base |= mav.MAV_MODE_FLAG_SAFETY_ARMED
-        status = mav.MAV_STATE_ACTIVE if self.vehicle.armed else mav.MAV_STATE_STANDBY
+        ardupilot = self.profile.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA
+        active = self.vehicle.flying if ardupilot else self.vehicle.armed
+        status = mav.MAV_STATE_ACTIVE if active else mav.MAV_STATE_STANDBY
         return mav.MAVLink_heartbeat_message(
             mav.MAV_TYPE_QUADROTOR, self.profile.autopilot, base, self._custom_mode(), status, 3
         )
