@@ -82,6 +82,76 @@ def test_a_plan_file_is_written_for_each_out(mixture_file, tmp_path, capsys, suf
     assert all(str(file) in out for file in files)
 
 
+@pytest.fixture
+def no_planning(monkeypatch):
+    """What is refused must be so before the planning."""
+
+    def plan(planner, problem, args):
+        raise AssertionError("planned in vain")
+
+    monkeypatch.setattr(module, "_plan", plan)
+
+
+def area_file(path):
+    """A GeoJSON file with a part of the mixture's area."""
+    corners = LocalFrame(ORIGIN).to_geodetic([(9, 9), (99, 9), (99, 99), (9, 99), (9, 9)])
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": [corners[:, ::-1].tolist()]}))
+    return path
+
+
+def test_a_plan_never_overwrites_what_it_is_made_of(tmp_path, capsys, no_planning):
+    drone = (*DRONE, "--planner", "sector")
+    area = area_file(tmp_path / "area.geojson")
+    map_file = tmp_path / "map.geojson"
+    mixture = GaussianMixture([1.0], [[40.0, 60.0]], [500.0 * np.eye(2)])
+    save_mixture(map_file, mixture, shapely.box(0, 0, 150, 150), ORIGIN)
+    link, same = tmp_path / "link.geojson", tmp_path / "sub" / ".." / "map.geojson"
+    link.symlink_to(area)
+    (tmp_path / "sub").mkdir()
+    before = area.read_bytes(), map_file.read_bytes()
+    arguments = (map_file, "--area", area, *drone, "--out")
+    for out in (map_file, same):
+        assert "is the same file as the map; choose" in refused(capsys, *arguments, out)
+    for out in (area, link):
+        assert "is the same file as --area; choose" in refused(capsys, *arguments, out)
+    twice = (tmp_path / "new.geojson", "--out", tmp_path / "sub" / ".." / "new.geojson")
+    assert "is the same file as --out" in refused(capsys, *arguments, *twice)
+    assert (area.read_bytes(), map_file.read_bytes()) == before
+    assert not (tmp_path / "new.geojson").exists()
+
+
+def test_a_hopeless_place_for_a_file_is_said_before_the_planning(
+    mixture_file, tmp_path, capsys, no_planning
+):
+    arguments = (mixture_file, *DRONE, "--planner", "sector")
+    folder, below = tmp_path / "folder.plan", mixture_file / "sub" / "plan.kml"
+    folder.mkdir()
+    assert "folder.plan is a folder; give" in refused(capsys, *arguments, "--out", folder)
+    pictures = tmp_path / "p.png"
+    pictures.mkdir()
+    assert "p.png is a folder" in refused(capsys, *arguments, "--picture", pictures)
+    assert "cannot be written (Not a directory)" in refused(capsys, *arguments, "--out", below)
+    assert "cannot be written" in refused(capsys, *arguments, "--out", "/proc/plan.kml")
+    missing = (tmp_path / "none.tif", *DRONE, "--planner", "sector")
+    assert "no such file" in refused(capsys, *missing, "--out", tmp_path / "new" / "plan.kml")
+    assert not (tmp_path / "new").exists()
+
+
+def test_one_file_that_fails_does_not_cost_the_others(mixture_file, tmp_path, capsys):
+    full, good, picture = (tmp_path / name for name in ("full.plan", "good.kml", "good.png"))
+    full.symlink_to("/dev/full")
+    outs = ["--out", str(full), "--out", str(good), "--picture", str(picture)]
+    assert main(["plan", str(mixture_file), *DRONE, "--planner", "sector", *outs]) == 2
+    captured = capsys.readouterr()
+    assert len(captured.err.strip().splitlines()) == 1
+    assert "full.plan was not written (No space left on device); make room" in captured.err
+    assert "e_p" in captured.out
+    assert str(good) in captured.out
+    assert str(full) not in captured.out
+    assert good.stat().st_size > 500
+    assert picture.stat().st_size > 10_000
+
+
 @has_plan_files
 def test_the_geojson_is_the_path_in_degrees(mixture_file, tmp_path, monkeypatch):
     waypoints = np.array([[40.0, 60.0], [48.0, 60.0], [48.0, 68.0]])

@@ -7,7 +7,7 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -115,22 +115,28 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, write the files and print the summary."""
-    from wisar_planner.errors import positive
+    from wisar_planner.cli.plan_files import check_names, make_places, write_each
+    from wisar_planner.errors import InvalidInput, positive
     from wisar_planner.pdm.gis import load_map
 
     planner = _planner(args)
-    _check_files(args)
+    outputs = _outputs(args)
+    inputs = {"the map": args.map} | ({"--area": args.area} if args.area else {})
+    check_names(inputs, outputs)
     positive(args.speed, "--speed")
     positive(args.altitude, "--altitude")
     loaded = load_map(args.map, band=args.band, area=args.area, cell=args.cell)
     notes = list(loaded.notes)
     problem = _problem(args, loaded)
+    make_places((option, path) for option, path, _ in outputs)
     asked = _on_mixture(problem, notes) if args.mixture else problem
     began = time.perf_counter()
     path = _plan(planner, asked, args)
     seconds = time.perf_counter() - began
-    files = _write_files(args, loaded, problem, path)
+    files, failures = write_each(_writers(args, loaded, problem, path))
     _print_summary(args, problem, path, seconds, files, notes)
+    if failures:
+        raise InvalidInput(f"{failures}; make room or choose another place, and plan again")
     return 0
 
 
@@ -154,19 +160,10 @@ def _planner(args: argparse.Namespace) -> Planner:
     return make_planner(args.planner, **options)
 
 
-def _check_files(args: argparse.Namespace) -> None:
-    """Find out about hopeless file names before the planning, not after it."""
-    from wisar_planner.errors import InvalidInput
-
-    pictures = [args.picture] if args.picture else []
-    for option, paths, known in (
-        ("--out", args.out, _PLAN_SUFFIXES),
-        ("--picture", pictures, _PICTURE_SUFFIXES),
-    ):
-        for path in paths:
-            if path.suffix.lower() not in known:
-                raise InvalidInput(f"{option}: {path} must end in one of {' '.join(known)}")
-            path.parent.mkdir(parents=True, exist_ok=True)
+def _outputs(args: argparse.Namespace) -> list[tuple[str, Path, tuple[str, ...]]]:
+    """Return the option, the name and the possible suffixes of each file to write."""
+    outputs = [("--out", path, _PLAN_SUFFIXES) for path in args.out]
+    return outputs + ([("--picture", args.picture, _PICTURE_SUFFIXES)] if args.picture else [])
 
 
 def _problem(args: argparse.Namespace, loaded: LoadedMap) -> SearchProblem:
@@ -261,23 +258,25 @@ def _first_interrupt() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _write_files(
+def _writers(
     args: argparse.Namespace, loaded: LoadedMap, problem: SearchProblem, path: SearchPath
-) -> list[Path]:
-    if args.out:
+) -> list[tuple[Path, Callable[[Path], None]]]:
+    """Return the files to write, and what writes each."""
+
+    def write_plan(file: Path) -> None:
         from wisar_planner.mavlink.files import write_plan_file
         from wisar_planner.mavlink.mission import build_mission
 
-        mission = build_mission(
-            loaded.frame.to_geodetic(path.waypoints), altitude_m=args.altitude, speed=args.speed
-        )
-        for out in args.out:
-            write_plan_file(out, mission)
-    if args.picture:
+        places = loaded.frame.to_geodetic(path.waypoints)
+        write_plan_file(file, build_mission(places, altitude_m=args.altitude, speed=args.speed))
+
+    def draw(file: Path) -> None:
         from wisar_planner.evaluation.plan_picture import plan_picture
 
-        plan_picture(problem, {path.planner or args.planner: path}, args.picture)
-    return [*args.out, *([args.picture] if args.picture else [])]
+        plan_picture(problem, {path.planner or args.planner: path}, file)
+
+    plans = [(file, write_plan) for file in args.out]
+    return plans + ([(args.picture, draw)] if args.picture else [])
 
 
 def _print_summary(
