@@ -40,6 +40,15 @@ def check(name, problem, path):
         np.testing.assert_array_equal(path.waypoints[0], problem.start)
         assert problem.area.contains(path.waypoints).all()
         assert len(path.waypoints) <= problem.steps + 1
+        check_legs(problem, path)
+
+
+def check_legs(problem, path):
+    """No leg crosses a hole or cuts a corner of the area."""
+    if len(path.waypoints) > 1:
+        flown = shapely.LineString(path.waypoints)
+        outside = flown.difference(problem.area.polygon.buffer(1e-6 * problem.step_length))
+        assert outside.length <= 1e-3 * problem.step_length
 
 
 @st.composite
@@ -110,6 +119,24 @@ def test_paths_stay_inside_an_area_with_a_hole(name, holed_problem):
     path = quick(name).plan(holed_problem)
     check(name, holed_problem, path)
     assert path.length > 0.9 * holed_problem.max_distance
+
+
+@pytest.mark.parametrize("name", [*UNTRAINED, "sac", "sac_search"])
+def test_no_leg_crosses_a_wall_thinner_than_a_step(name):
+    """A strip where nobody may fly, cut out of the area's middle; the map's peak lies behind it."""
+    wall = shapely.box(48.0, 15.0, 50.0, 85.0)
+    problem = SearchProblem(
+        pdm=GaussianMixture(np.ones(1), np.array([[60.0, 50.0]]), 200.0 * np.eye(2)[None]),
+        area=SearchArea.from_polygon(shapely.box(0.0, 0.0, 100.0, 100.0).difference(wall)),
+        start=np.array([30.0, 50.0]),
+        step_length=8.0,
+        swath_radius=2.5,
+        max_distance=400.0,
+    )
+    options = {"sac_search": {"max_iterations": 2000}, "lookahead": {"max_iterations": 2000}}
+    path = make_planner(name, **options.get(name, {})).plan(problem)
+    assert path.length > 0.9 * problem.max_distance
+    check_legs(problem, path)
 
 
 @pytest.mark.parametrize("name", UNTRAINED)

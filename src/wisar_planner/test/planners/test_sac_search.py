@@ -3,6 +3,7 @@ import time
 
 import numpy as np
 import pytest
+import shapely
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
 
@@ -11,6 +12,8 @@ def check(problem, path):
     assert path.planner == "sac_search"
     np.testing.assert_array_equal(path.waypoints[0], problem.start)
     assert problem.area.contains(path.waypoints).all()
+    flown = shapely.LineString(path.waypoints) if len(path.waypoints) > 1 else problem.area.polygon
+    assert problem.area.polygon.buffer(1e-6).covers(flown)
     assert path.length <= problem.max_distance * (1.0 + 1e-9)
 
 

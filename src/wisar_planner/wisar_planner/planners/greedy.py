@@ -130,7 +130,7 @@ def _steps_inside(problem: SearchProblem, here: FloatArray, moves: FloatArray) -
     """Return the ends of the steps that stay inside the area, shorter ones if no whole one does."""
     for share in _SHORTER:
         ends = here + share * moves
-        inside = problem.area.contains(ends)
+        inside = problem.area.contains_legs(here, ends)
         if inside.any():
             return ends[inside]
     return np.empty((0, 2))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from wisar_planner.errors import FloatArray, InvalidInput
 from wisar_planner.pdm import Grid
@@ -30,8 +32,8 @@ class LhcGwConv(OptionedPlanner):
     that collects most on the original map is kept. A diagonal move is longer than a straight one;
     the distance counts, and the path is cut at the maximum distance.
 
-    The first waypoint is the start itself, the others are centres of cells. Only cells whose centre
-    lies in the area are entered.
+    The first waypoint is the start itself, the others are centres of cells. Only cells are entered
+    whose centre lies in the area, and only where the way there does.
     """
 
     name: ClassVar[str] = "lhc_gw_conv"
@@ -63,10 +65,11 @@ class LhcGwConv(OptionedPlanner):
         cells = np.where(allowed, cells, 0.0)
         row, column = _cell_of(grid, problem.start)
         budget = problem.max_distance / grid.cell
+        moves = _moves(problem, centres, allowed, row, column)
         best_score, best = -1.0, np.array([[row, column]], np.float64)
         for level in range(self.levels):
             warming = cells.max() * level / (self.levels + 1)
-            path, score = climb(cells, allowed, row, column, budget, warming, self.kernel)
+            path, score = climb(cells, moves, row, column, budget, warming, self.kernel)
             if score > best_score:
                 best_score, best = score, path
             if should_stop is not None and should_stop():
@@ -76,6 +79,37 @@ class LhcGwConv(OptionedPlanner):
         waypoints[0] = problem.start
         flown = SearchPath(waypoints, problem.swath_radius, self.name)
         return flown.truncated(problem.max_distance)
+
+
+def _moves(
+    problem: SearchProblem,
+    centres: FloatArray,
+    allowed: npt.NDArray[np.bool_],
+    row: int,
+    column: int,
+) -> npt.NDArray[np.bool_]:
+    """Return which neighbours each cell can be left for, (rows, columns, 3, 3).
+
+    The way from the start's cell, (row, column), begins at the start itself, later at its centre.
+    """
+    rows, columns = allowed.shape
+    moves = np.zeros((rows, columns, 3, 3), dtype=np.bool_)
+    for dr, dc in itertools.product((-1, 0, 1), repeat=2):
+        if dr == dc == 0:
+            continue
+        here = slice(max(0, -dr), rows - max(0, dr)), slice(max(0, -dc), columns - max(0, dc))
+        there = slice(max(0, dr), rows + min(0, dr)), slice(max(0, dc), columns + min(0, dc))
+        possible = allowed[here] & allowed[there]
+        possible[possible] = problem.area.contains_legs(
+            centres[here][possible], centres[there][possible]
+        )
+        moves[..., dr + 1, dc + 1][here] = possible
+        r, c = row + dr, column + dc
+        if 0 <= r < rows and 0 <= c < columns:
+            first = problem.area.contains_legs(problem.start, centres[r, c][None])[0]
+            later = moves[row, column, dr + 1, dc + 1] or not allowed[row, column]
+            moves[row, column, dr + 1, dc + 1] = allowed[r, c] and first and later
+    return moves
 
 
 def _cell_of(grid: Grid, point: FloatArray) -> tuple[int, int]:

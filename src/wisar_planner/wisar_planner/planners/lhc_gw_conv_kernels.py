@@ -14,7 +14,7 @@ from wisar_planner.errors import FloatArray
 @njit(cache=True, nogil=True)
 def climb(
     cells: FloatArray,
-    allowed: npt.NDArray[np.bool_],
+    moves: npt.NDArray[np.bool_],
     row: int,
     column: int,
     budget: float,
@@ -27,8 +27,8 @@ def climb(
     ----------
     cells : (rows, columns) float64
         Probability per cell of the original map.
-    allowed : (rows, columns) bool
-        Cells that may be entered.
+    moves : (rows, columns, 3, 3) bool
+        Which of the neighbours, rows and columns from -1 to 1, each cell may be left for.
     row, column : int
         Cell to start from.
     budget : float
@@ -67,7 +67,7 @@ def climb(
                 r, c = row + dr, column + dc
                 if (dr == 0 and dc == 0) or r < 0 or c < 0 or r >= rows or c >= columns:
                     continue
-                if not allowed[r, c]:
+                if not moves[row, column, dr + 1, dc + 1]:
                     continue
                 rank = 0
                 if r == last_row and c == last_column:

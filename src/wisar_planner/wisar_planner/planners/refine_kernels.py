@@ -24,7 +24,7 @@ from wisar_planner.planners.swath_kernels import (
     paint_path,
     path_value,
 )
-from wisar_planner.search.area_raster import AreaRaster, inside
+from wisar_planner.search.area_raster import AreaRaster, leg_inside
 
 # Moves, with how often each is tried. Measured on the paper's setup.
 SWAP_NEIGHBOURS, BEND_THREE, SHIFT_CHUNKS, SWAP_STEPS, REVERSE = 0, 1, 2, 3, 4
@@ -84,12 +84,14 @@ def anneal(
     for i in range(iterations):
         temperature = hot * (cold / hot) ** (i / iterations)
         a, b = _propose(points, new, step, thresholds, state)
-        if a < 0 or not _all_inside(area, new, a + 1, b):
+        if a < 0:
             continue
         end = min(b, last)
         new[a] = points[a]
         if b <= last:
             new[b] = points[b]
+        if not _stays_inside(area, new, a, end):
+            continue
         unchanged[:] = tally
         paint_path(canvas, points, a, end, radius, REMOVE, tally)
         paint_path(canvas, new, a, end, radius, ADD, tally)
@@ -165,9 +167,11 @@ def _small_angle(state: StateArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _all_inside(area: AreaRaster, points: FloatArray, first: int, last: int) -> bool:
-    for i in range(first, last):  # noqa: SIM110 - numba compiles no generators
-        if not inside(area, points[i, 0], points[i, 1]):
+def _stays_inside(area: AreaRaster, points: FloatArray, first: int, last: int) -> bool:
+    """Return whether all steps from one point of a path to another stay in the area."""
+    for i in range(first, last):
+        x, y = points[i]
+        if not leg_inside(area, x, y, points[i + 1, 0], points[i + 1, 1]):
             return False
     return True
 

@@ -18,7 +18,7 @@ from wisar_planner.planners.swath_kernels import (
     paint_path,
     period_of,
 )
-from wisar_planner.search.area_raster import AreaRaster, inside
+from wisar_planner.search.area_raster import AreaRaster, leg_inside
 
 # Share of what a step over the best unseen block would gain under which a step is not worth it.
 _FAR_SHARE = 0.1
@@ -86,7 +86,7 @@ def rollout(
                 if not math.isnan(arrival):
                     angle = arrival + 2.0 * math.pi * k / headings
                 end_x, end_y = x + step * math.cos(angle), y + step * math.sin(angle)
-                if not inside(area, end_x, end_y):
+                if not leg_inside(area, x, y, end_x, end_y):
                     continue
                 gain = paint(canvas, x, y, end_x, end_y, radius, 0, MEASURE, tally)
                 score = float(gain)
@@ -136,7 +136,7 @@ def _towards(
         # 0, +1, -1, +2, -2 ... parts of the circle off the straight way.
         turn = ((k + 1) // 2) * (1 if k % 2 else -1) * 2.0 * math.pi / headings
         angle = straight + turn
-        if inside(area, x + step * math.cos(angle), y + step * math.sin(angle)):
+        if leg_inside(area, x, y, x + step * math.cos(angle), y + step * math.sin(angle)):
             return angle
     return math.nan
 

@@ -24,7 +24,7 @@ from wisar_planner.policy.unseen_kernels import (
     write_view,
 )
 from wisar_planner.policy.unseen_map import BLOCK, RATIO
-from wisar_planner.search.area_raster import AreaRaster, inside
+from wisar_planner.search.area_raster import AreaRaster, leg_inside
 
 # Turns tried where a step would leave the area: as many to each side as make the circle.
 _TURNS = 32
@@ -71,7 +71,7 @@ def fly_step(
     steps_left: float,
     noise: Float32Array,
 ) -> bool:
-    """Fly a step of each search; return whether all found one that ends in the area.
+    """Fly a step of each search; return whether all found one that stays in the area.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def fly_step(
     weights, gaussian
         The policy: its network, and whether its turns are distributed as `heading.GAUSSIAN`.
     area : AreaRaster
-        Where steps may end.
+        Where they may fly.
     length : float
         Length of a step in cells.
     steps_left : float
@@ -157,10 +157,11 @@ def decide(output: Float32Array, gaussian: bool, noise: Float32Array) -> float:
 
 @njit(cache=True, nogil=True)
 def _kept_inside(area: AreaRaster, x: float, y: float, length: float, heading: float) -> float:
-    """Return the heading nearest to a wanted one whose step ends in the area, or NaN."""
+    """Return the heading nearest to a wanted one whose step stays in the area, or NaN."""
     for k in range(_TURNS + 1):
         turn = (1 - 2 * (k % 2)) * ((k + 1) // 2) * 2.0 * math.pi / _TURNS
         angle = heading + turn
-        if inside(area, x + length * math.cos(angle) - 0.5, y + length * math.sin(angle) - 0.5):
+        end_x, end_y = x + length * math.cos(angle), y + length * math.sin(angle)
+        if leg_inside(area, x - 0.5, y - 0.5, end_x - 0.5, end_y - 0.5):
             return angle
     return math.nan

@@ -48,7 +48,7 @@ class Terrain(NamedTuple):
     scale : float
         See `view_scale`.
     area : AreaRaster
-        Where steps may end.
+        Where steps may go.
     heading : float
         First heading, rad: towards the centre of what is to be seen.
     unit : float

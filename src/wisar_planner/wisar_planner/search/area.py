@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,44 @@ class SearchArea:
         """Area in m^2."""
         return float(self.polygon.area)
 
+    @cached_property
+    def convex(self) -> bool:
+        """Whether a straight leg between points of the area always stays inside."""
+        return is_convex(self.polygon)
+
     def contains(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Return which of `points`, (N, 2) m, lie in the area; its boundary belongs to it."""
         xy = finite_array(points, "points", (None, 2))
         return np.asarray(shapely.intersects_xy(self.polygon, xy[:, 0], xy[:, 1]))
+
+    def contains_legs(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return which straight legs between points of the area stay in it, (N,).
+
+        A leg may leave the area by a billionth of its extent: a border is no wider than rounding.
+
+        Parameters
+        ----------
+        starts : (2,) or (N, 2) array_like
+            Where the legs begin, m.
+        ends : (N, 2) array_like
+            Where they end, m.
+        """
+        ends = finite_array(ends, "ends", (None, 2))
+        found = self.contains(ends)
+        if self.convex or not found.any():
+            return found
+        legs = np.stack([np.broadcast_to(starts, ends.shape), ends], axis=1)[found]
+        found[found] = shapely.covers(self._widened, shapely.linestrings(legs))
+        return found
+
+    @cached_property
+    def _widened(self) -> Polygon | MultiPolygon:
+        xmin, ymin, xmax, ymax = self.bounds
+        widened = self.polygon.buffer(1e-9 * max(xmax - xmin, ymax - ymin), join_style="mitre")
+        shapely.prepare(widened)
+        return widened
+
+
+def is_convex(polygon: Polygon | MultiPolygon) -> bool:
+    """Return whether a polygon fills its convex hull, but for rounding."""
+    return bool(polygon.convex_hull.area - polygon.area <= 1e-12 * polygon.area)

@@ -15,6 +15,7 @@ from numba import njit
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm.grid import Grid
+from wisar_planner.search.area import is_convex
 
 KindArray = npt.NDArray[np.uint8]
 
@@ -32,10 +33,13 @@ class AreaRaster(NamedTuple):
         beside them.
     edges : (E, 4) float64
         Edges of all rings, x0, y0, x1, y1; looked at in border cells alone.
+    convex : bool
+        Whether a straight leg between points of the area always stays inside.
     """
 
     kinds: KindArray
     edges: FloatArray
+    convex: bool
 
     @classmethod
     def of(cls, polygon: shapely.Polygon | shapely.MultiPolygon, grid: Grid) -> AreaRaster:
@@ -45,7 +49,8 @@ class AreaRaster(NamedTuple):
             metres = shapely.get_coordinates(ring)
             vertices = (metres - (grid.x0, grid.y0)) / grid.cell - 0.5
             edges.append(np.concatenate([vertices[:-1], vertices[1:]], axis=1))
-        area = cls(np.empty((grid.rows, grid.columns), np.uint8), np.concatenate(edges))
+        kinds = np.empty((grid.rows, grid.columns), np.uint8)
+        area = cls(kinds, np.concatenate(edges), is_convex(polygon))
         _classify(area)
         return area
 
@@ -60,7 +65,7 @@ class AreaRaster(NamedTuple):
 @njit(cache=True, nogil=True)
 def _classify(area: AreaRaster) -> None:
     """Write the kind of every cell."""
-    kinds, edges = area
+    kinds, edges = area.kinds, area.edges
     rows, columns = kinds.shape
     kinds[:] = OUTSIDE
     crossings = np.empty(len(edges))
@@ -93,7 +98,7 @@ def _classify(area: AreaRaster) -> None:
 @njit(cache=True, nogil=True)
 def inside(area: AreaRaster, x: float, y: float) -> bool:
     """Return whether a point lies in the area; beyond the raster nothing does."""
-    kinds, edges = area
+    kinds, edges = area.kinds, area.edges
     row, column = math.floor(y + 0.5), math.floor(x + 0.5)
     if row < 0 or column < 0 or row >= kinds.shape[0] or column >= kinds.shape[1]:
         return False
@@ -106,6 +111,51 @@ def inside(area: AreaRaster, x: float, y: float) -> bool:
         if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
             odd = not odd
     return odd
+
+
+@njit(cache=True, nogil=True)
+def leg_inside(area: AreaRaster, x0: float, y0: float, x1: float, y1: float) -> bool:
+    """Return whether a straight leg from a point of the area stays in it to the end.
+
+    What crosses the border on the first thousandth of the leg counts as inside: a search may begin
+    on the border.
+    """
+    if not inside(area, x1, y1):
+        return False
+    return (
+        area.convex or _clear_of_border(area, x0, y0, x1, y1) or not _crosses(area, x0, y0, x1, y1)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _clear_of_border(area: AreaRaster, x0: float, y0: float, x1: float, y1: float) -> bool:
+    """Return whether a leg meets no cell that an edge touches, looking at every cell of it."""
+    rows, columns = area.kinds.shape
+    looks = 1 + math.ceil(math.hypot(x1 - x0, y1 - y0))
+    for k in range(looks + 1):
+        row = math.floor(y0 + k / looks * (y1 - y0) + 0.5)
+        column = math.floor(x0 + k / looks * (x1 - x0) + 0.5)
+        if row < 0 or column < 0 or row >= rows or column >= columns:
+            return False
+        if area.kinds[row, column] != INSIDE:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _crosses(area: AreaRaster, x0: float, y0: float, x1: float, y1: float) -> bool:
+    """Return whether a leg crosses an edge after its first thousandth."""
+    dx, dy = x1 - x0, y1 - y0
+    for e in range(len(area.edges)):
+        ax, ay = area.edges[e, 0] - x0, area.edges[e, 1] - y0
+        ex, ey = area.edges[e, 2] - area.edges[e, 0], area.edges[e, 3] - area.edges[e, 1]
+        cross = dx * ey - dy * ex
+        if cross == 0.0:
+            continue  # Parallel: other edges of the ring tell.
+        along, share = (ax * ey - ay * ex) / cross, (ax * dy - ay * dx) / cross
+        if 1e-3 <= along <= 1.0 and 0.0 <= share <= 1.0:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
