@@ -101,15 +101,34 @@ def test_ctrl_c_is_quiet(tmp_path: Path, when: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, output, "")
 
 
-def test_a_callback_that_fails_ends_the_node_and_says_why(tmp_path: Path) -> None:
-    early = "self.create_timer(0.1, lambda: 1 / 0)"
+# A message to itself, and nothing that becomes ready after it.
+ONE_MESSAGE = """
+        import os, threading, time
+        from std_msgs.msg import Empty
+        topic = f"to_{{os.getpid()}}"
+        publisher = self.create_publisher(Empty, topic, 1)
+        self.create_subscription(Empty, topic, lambda _: time.sleep(0.5) or {callback}, 1)
+        threading.Timer(2.0, lambda: publisher.publish(Empty())).start()"""
+
+
+@pytest.mark.parametrize(
+    ("early", "error"),
+    [
+        ("self.create_timer(0.1, lambda: 1 / 0)", "ZeroDivisionError"),
+        (ONE_MESSAGE.format(callback="1 / 0"), "ZeroDivisionError"),
+        (ONE_MESSAGE.format(callback="exit('enough')"), "enough"),
+    ],
+)
+def test_a_callback_that_fails_ends_the_node_and_says_why(
+    tmp_path: Path, early: str, error: str
+) -> None:
     (tmp_path / "failing.py").write_text(NODE.format(early=early, late="pass"))
     script = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import failing; failing.main()"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=60
     )
     assert (done.returncode, done.stdout) == (1, "closed\n")
-    assert "ZeroDivisionError" in done.stderr
+    assert error in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Protocol, cast
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Protocol, cast
 
 import rclpy
 from rclpy.exceptions import (
@@ -17,6 +18,7 @@ from rclpy.exceptions import (
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Task
 
 from wisar_planner.errors import InvalidInput
 
@@ -40,18 +42,53 @@ class Closeable(Protocol):
         """Stop them; called once, before the node is destroyed."""
 
 
-class _Executor(MultiThreadedExecutor):
-    """The executor, but that its shutdown waits for callbacks at work as its text promises.
+class _Pool(ThreadPoolExecutor):
+    """Threads for callbacks that tell at once when a callback has failed."""
 
-    rclpy marks it as shut down before it asks whether to wait, and so never does (Jazzy,
+    def __init__(self, threads: int, on_failure: Callable[[BaseException], None]) -> None:
+        super().__init__(threads, thread_name_prefix="callback")
+        self._on_failure = on_failure
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run a callback in a thread."""
+
+        def ended(future: Future[Any]) -> None:
+            error = None if future.cancelled() else future.exception()
+            # A task of rclpy keeps what its callback raised to itself.
+            if error is None and isinstance(fn, Task) and fn.done():
+                error = fn.exception()
+            if error is not None:
+                self._on_failure(error)
+
+        future = super().submit(fn, *args, **kwargs)
+        future.add_done_callback(ended)
+        return future
+
+
+class _Executor(MultiThreadedExecutor):
+    """The executor, but that failures count at once and its shutdown waits for callbacks at work.
+
+    rclpy looks for a callback that has failed only when the next one is ready, which may be
+    never. It marks itself as shut down before it asks whether to wait, and so never does (Jazzy,
     7.1.5): the node was destroyed under its callbacks, which then failed or never ended.
     """
+
+    def __init__(self, threads: int) -> None:
+        super().__init__(num_threads=threads)
+        self.failure: BaseException | None = None
+        """What the first callback that failed has raised; it ends `spin`."""
+        self._executor = _Pool(threads, self._on_failure)
+
+    def _on_failure(self, error: BaseException) -> None:
+        self.failure = self.failure or error
+        self.stop()
 
     def stop(self) -> None:
         """Begin no more callbacks: `spin` returns."""
         with self._shutdown_lock:
             self._is_shutdown = True
-            self._guard.trigger()
+            if self._guard is not None:  # a late failure, after `shutdown`
+                self._guard.trigger()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Wait for callbacks at work, after `stop` and `spin`; return whether they ended."""
@@ -97,9 +134,8 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
 def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | None:
     """Spin a node in a thread, end it in order when told to; return what a callback raised."""
     # Threads let a node answer (parameters, cancel requests) while a callback works.
-    executor = _Executor(num_threads=4)
+    executor = _Executor(threads=4)
     executor.add_node(node)
-    failures: list[BaseException] = []
 
     def work() -> None:
         try:
@@ -107,7 +143,7 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
         except ExternalShutdownException:
             pass
         except BaseException as error:
-            failures.append(error)
+            executor.failure = executor.failure or error
         finally:
             told_to_end.set()
 
@@ -126,4 +162,4 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
     spinning.join(_PATIENCE_S)
     if not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S):
         node.destroy_node()
-    return failures[0] if failures else None
+    return executor.failure
