@@ -209,6 +209,41 @@ def test_an_area_cut_by_the_antimeridian_becomes_one(tmp_path):
     assert area.bounds[2] - area.bounds[0] == pytest.approx(2 * 1065, abs=5)
 
 
+def test_a_mixture_far_from_its_origin_is_refused(tmp_path):
+    one = point(-5.0, 56.8, weight=1, sigma_m=100)
+    swapped = write(tmp_path / "map.geojson", collection(one, origin=[56.8, -5.0]))
+    message = r"up to [\d,]+ km from its origin -5\.00000,56\.80000.*\[longitude, latitude\]"
+    with pytest.raises(InvalidInput, match=message):
+        load_map(swapped)
+    load_map(write(tmp_path / "map.geojson", collection(one, origin=[-5.0, 56.8])))
+    path = tmp_path / "map.yaml"
+    for east, north in ((400_800, 6_289_400), (4e8, 0)):
+        path.write_text(yaml.safe_dump({**YAML, "means": [[east, north], [40, 60]]}))
+        with pytest.raises(InvalidInput, match=r"map\.yaml: its components .* means are metres"):
+            load_map(path)
+    path.write_text(yaml.safe_dump({**YAML, "area": {"rectangle": [0, 0, 150, 600_000]}}))
+    with pytest.raises(InvalidInput, match="its search area reaches up to 600 km"):
+        load_map(path)
+    path.write_text(yaml.safe_dump({**YAML, "means": [[90_000, 0], [40, 60]]}))
+    assert "components lie up to 90 km from the origin 56.78" in " ".join(load_map(path).notes)
+
+
+def test_an_area_apart_from_its_map_is_named_with_both_places(tmp_path):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    elsewhere = write(tmp_path / "else.geojson", square(10.0, 50.0, 10.02, 50.02))
+    both = r"else\.geojson: lies around 50\.0100\d,10\.0100\d, but the map .*map\.geojson around "
+    with pytest.raises(InvalidInput, match=both + r"56\.70500,-4\.99000 \(LAT,LON\); check"):
+        load_map(path, area=elsewhere)
+    swapped = write(tmp_path / "swapped.geojson", square(56.7, -5.0, 56.71, -4.98))
+    with pytest.raises(InvalidInput, match="with longitude and latitude swapped it lies on the"):
+        load_map(path, area=swapped)
+    nation = write(tmp_path / "nation.geojson", square(-12.0, 50.0, 2.0, 60.0))
+    with pytest.raises(
+        InvalidInput, match=r"nation\.geojson: reaches .* draw the search area clos"
+    ):
+        load_map(path, area=nation)
+
+
 GOOD = collection(
     point(-5.0, 56.7, weight=0.5, sigma_m=30), point(-4.99, 56.7, weight=0.5, sigma_m=30)
 )

@@ -1,5 +1,6 @@
 """GeoTIFF maps: the warp against independent geometry, and what is refused."""
 
+import json
 import logging
 from pathlib import Path
 
@@ -227,6 +228,18 @@ def test_wrong_values_and_places_are_refused(tmp_path, values, options, message)
     path = write_tif(tmp_path / "wrong.tif", values, **options)
     with pytest.raises(InvalidInput, match=rf"wrong\.tif: (?s:.)*{message}"):
         load_map(path)
+
+
+def test_an_area_without_probability_is_refused(tmp_path):
+    values = np.zeros((20, 20))
+    values[:, 15:] = 1.0
+    path = write_tif(tmp_path / "map.tif", values)
+    ((lat0, lon0), (lat1, lon1)) = load_map(path).frame.to_geodetic([(-60.0, -60.0), (0.0, 60.0)])
+    ring = [[lon0, lat0], [lon1, lat0], [lon1, lat1], [lon0, lat1], [lon0, lat0]]
+    area = tmp_path / "area.geojson"
+    area.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    with pytest.raises(InvalidInput, match=r"area\.geojson: holds no probability of .*map\.tif"):
+        load_map(path, area=area)
 
 
 def test_broken_files_are_refused_in_one_line(tmp_path, capfd, caplog):

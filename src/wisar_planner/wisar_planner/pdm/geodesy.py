@@ -19,7 +19,10 @@ from pyproj.exceptions import ProjError
 
 from wisar_planner.errors import InvalidInput
 
-__all__ = ["GeoOrigin", "LocalFrame", "origin_at"]
+__all__ = ["MAX_RADIUS", "GeoOrigin", "LocalFrame", "origin_at"]
+
+MAX_RADIUS = 500_000.0
+"""Metres from the origin within which lengths in the local frame are true to a thousandth."""
 
 _HALF_ROUND = 20_003_931.0  # metres from pole to pole: nothing lies farther away
 

@@ -20,7 +20,7 @@ from rasterio.transform import Affine
 from shapely import Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, positive
-from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame, origin_at
+from wisar_planner.pdm.geodesy import MAX_RADIUS, GeoOrigin, LocalFrame, origin_at
 from wisar_planner.pdm.grid import Grid
 from wisar_planner.pdm.loaded_map import LoadedMap
 from wisar_planner.pdm.raster_map import RasterMap
@@ -28,9 +28,6 @@ from wisar_planner.pdm.warp_kernels import split_cells
 
 MAX_CELLS = 50_000_000
 """Largest raster that is read or made; it bounds the memory of a load to about 2 GB."""
-
-MAX_RADIUS = 500_000.0
-"""Metres from the origin within which lengths in the local frame are true to a thousandth."""
 
 _BLOCK_ROWS = 512
 

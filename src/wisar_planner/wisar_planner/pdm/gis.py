@@ -6,9 +6,12 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+import shapely
+
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.gaussian_mixture import GaussianMixture
-from wisar_planner.pdm.geodesy import GeoOrigin
+from wisar_planner.pdm.geodesy import MAX_RADIUS, GeoOrigin
 from wisar_planner.pdm.geojson import Area, load_area
 from wisar_planner.pdm.loaded_map import LoadedMap
 
@@ -17,6 +20,15 @@ __all__ = ["LoadedMap", "load_map", "save_mixture"]
 RASTER_SUFFIXES = (".tif", ".tiff")
 GEOJSON_SUFFIXES = (".geojson", ".json")
 YAML_SUFFIXES = (".yaml", ".yml")
+
+_GEOJSON_HINT = "check the order, origin is [longitude, latitude]; without it the middle is taken"
+_YAML_HINT = "means are metres east and north of the origin, not coordinates of a grid such as UTM"
+
+_NO_PROBABILITY = 1e-9
+"""What is less is rounding, not a map."""
+
+_SUSPICIOUS = 50_000.0
+"""Metres from the origin beyond which no drone searches: more often a mistake than a map."""
 
 
 def load_map(
@@ -68,18 +80,80 @@ def load_map(
     elif suffix in GEOJSON_SUFFIXES:
         from wisar_planner.pdm.mixture_geojson import load_geojson_mixture
 
-        loaded = load_geojson_mixture(path, origin)
+        loaded = _near(load_geojson_mixture(path, origin), _GEOJSON_HINT)
     elif suffix in YAML_SUFFIXES:
         from wisar_planner.pdm.mixture_yaml import load_yaml_mixture
 
         if origin is not None:
             raise InvalidInput(f"origin: {path} is in local metres and has its own; edit it there")
-        loaded = load_yaml_mixture(path)
+        loaded = _near(load_yaml_mixture(path), _YAML_HINT)
     else:
         raise InvalidInput(_unknown_suffix(path, RASTER_SUFFIXES))
     if area is None:
         return loaded
-    return replace(loaded, area=load_area(Path(area), loaded.frame))
+    return _within(loaded, Path(area))
+
+
+def _near(loaded: LoadedMap, hint: str) -> LoadedMap:
+    """Return a mixture that lies where its local frame is true; refuse another."""
+    mixture = loaded.pdm
+    if not isinstance(mixture, GaussianMixture):
+        return loaded
+    components = float(np.hypot(*mixture.means.T).max())
+    for what, reach in (
+        ("its components lie", components),
+        ("its search area reaches", max(map(abs, loaded.area.bounds))),
+    ):
+        if reach > MAX_RADIUS:
+            raise InvalidInput(
+                f"{loaded.source}: {what} up to {reach / 1000:,.0f} km from its origin "
+                f"{_degrees(loaded.origin)}, over {MAX_RADIUS / 1000:.0f} km; {hint}"
+            )
+    if components > _SUSPICIOUS:
+        note = f"components lie up to {components / 1000:.0f} km from the origin"
+        return replace(loaded, notes=(*loaded.notes, f"{note} {_degrees(loaded.origin)}"))
+    return loaded
+
+
+def _within(loaded: LoadedMap, path: Path) -> LoadedMap:
+    """Return a map with the search area of a file, which must hold some of its probability."""
+    area = load_area(path, loaded.frame)
+    if loaded.pdm.integrate(area) < _NO_PROBABILITY:
+        if area.intersects(loaded.area):
+            raise InvalidInput(
+                f"{path}: holds no probability of {loaded.source}, whose values there are 0; "
+                "draw the area where the map has some"
+            )
+        raise InvalidInput(
+            f"{path}: lies around {_middle(area, loaded)}, but the map {loaded.source} around "
+            f"{_middle(loaded.area, loaded)} (LAT,LON); {_remedy(area, loaded)}"
+        )
+    reach = max(map(abs, area.bounds))
+    if reach > MAX_RADIUS:
+        raise InvalidInput(
+            f"{path}: reaches {reach / 1000:,.0f} km from the origin of {loaded.source}, over "
+            f"{MAX_RADIUS / 1000:.0f} km; draw the search area closer"
+        )
+    return replace(loaded, area=area)
+
+
+def _remedy(area: Area, loaded: LoadedMap) -> str:
+    """Say why an area may lie apart from its map."""
+    ((latitude, longitude),) = loaded.frame.to_geodetic(area.centroid.coords)
+    if abs(longitude) <= 90.0:
+        swapped = shapely.Point(loaded.frame.to_local(longitude, latitude)[0])
+        if loaded.area.convex_hull.covers(swapped):
+            return "with longitude and latitude swapped it lies on the map: swap them in the file"
+    return "check that both are of the same search"
+
+
+def _middle(area: Area, loaded: LoadedMap) -> str:
+    ((latitude, longitude),) = loaded.frame.to_geodetic(area.centroid.coords)
+    return _degrees(GeoOrigin(float(latitude), float(longitude)))
+
+
+def _degrees(place: GeoOrigin) -> str:
+    return f"{place.latitude:.5f},{place.longitude:.5f}"
 
 
 def save_mixture(
