@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.client import LinkError, MissionClient
 from wisar_planner.mavlink.codec import Codec
-from wisar_planner.mavlink.mission import build_mission
+from wisar_planner.mavlink.mission import MissionKind, build_mission
 from wisar_planner.mavlink.transfer import UploadCode
 
 MISSION = build_mission([(57.0, -4.0), (57.001, -4.0)], altitude_m=40.0, speed=5.0)
@@ -312,3 +312,71 @@ def test_resume_needs_an_armed_vehicle_in_the_air():
         vehicle.answer = obey
         client.resume()
         assert vehicle.custom_mode == 3
+
+
+def test_nothing_is_uploaded_to_a_vehicle_that_flies_its_mission():
+    with talking_to(armed=True, custom_mode=IN_MISSION) as (vehicle, client):
+        result = client.upload(MISSION)
+        assert result.code is UploadCode.REFUSED_BEFORE
+        assert "would fly the new one at once; call pause first" in result.error
+        assert result.old_counts
+        assert not any(m.get_type().startswith("MISSION_") for m in vehicle.heard)
+
+
+def test_a_vehicle_that_begins_its_mission_before_the_upload_is_left_alone():
+    """Its fence is still being sent then; the mission is not sent any more."""
+
+    def start_at_the_fence(vehicle, message):
+        if message.get_type() != "MISSION_CLEAR_ALL":
+            return []
+        if not vehicle.armed:
+            vehicle.armed, vehicle.custom_mode = True, IN_MISSION
+            return []
+        none_known = mav.MAV_MISSION_UNSUPPORTED
+        ack = mav.MAVLink_mission_ack_message(245, 190, none_known, message.mission_type)
+        return [ack] if client.vehicle.armed else []
+
+    with talking_to(start_at_the_fence, custom_mode=HOLD) as (vehicle, client):
+        result = client.upload(MISSION, kinds=list(MissionKind))
+        assert result.code is UploadCode.REFUSED_BEFORE
+        assert "call pause first" in result.error
+        assert not any(m.get_type() == "MISSION_COUNT" for m in vehicle.heard)
+
+
+def test_nothing_is_started_during_an_upload():
+    with talking_to(acknowledge, armed=True, custom_mode=HOLD) as (vehicle, client):
+        done = threading.Event()
+        upload = lambda: client.upload(MISSION, should_cancel=done.is_set)  # noqa: E731
+        with in_background(upload):
+            wait_for(lambda: any("MISSION_" in m.get_type() for m in vehicle.heard))
+            for call in (client.start_mission, client.resume):
+                with pytest.raises(LinkError, match="upload is in progress"):
+                    call()
+            done.set()
+        assert vehicle.commands() == []
+
+
+@pytest.mark.parametrize("knows_command", [True, False])
+def test_a_start_in_flight_on_ardupilot_begins_with_the_first_item(knows_command):
+    def obey(vehicle, message):
+        code, name = getattr(message, "command", 0), message.get_type()
+        if name == "MISSION_SET_CURRENT":
+            assert message.seq == 1  # 0 is home
+            chosen.append(name)
+            return [mav.MAVLink_mission_current_message(1)]
+        if code == mav.MAV_CMD_DO_SET_MISSION_CURRENT:
+            assert message.param1 == 1.0
+            chosen.append(code)
+            if not knows_command:
+                return acknowledge(vehicle, message, mav.MAV_RESULT_UNSUPPORTED)
+        if code == mav.MAV_CMD_DO_SET_MODE:
+            assert chosen
+            vehicle.custom_mode = int(message.param2)
+        return acknowledge(vehicle, message)
+
+    chosen = []
+    state = {"autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA, "status": mav.MAV_STATE_ACTIVE}
+    with talking_to(obey, armed=True, custom_mode=17, **state) as (vehicle, client):
+        client.start_mission()
+        assert vehicle.custom_mode == 3
+        assert ("MISSION_SET_CURRENT" in chosen) is not knows_command

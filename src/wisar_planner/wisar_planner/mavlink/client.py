@@ -19,13 +19,19 @@ from typing import TypeVar
 from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.codec import Codec, Counters, Message, read_key_file
-from wisar_planner.mavlink.command import Command, RequestEnd
+from wisar_planner.mavlink.command import Command, RequestEnd, SetCurrent
 from wisar_planner.mavlink.download import Download, DownloadEnd
 from wisar_planner.mavlink.exchange import Address, Exchange
 from wisar_planner.mavlink.link import Link
 from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
-from wisar_planner.mavlink.modes import Intent, commands_for, flies_by_itself, shown_by
+from wisar_planner.mavlink.modes import (
+    Intent,
+    commands_for,
+    flies_by_itself,
+    flies_mission,
+    shown_by,
+)
 from wisar_planner.mavlink.session import LinkStatus, Session, Slot
 from wisar_planner.mavlink.transfer import (
     UPLOAD_ORDER,
@@ -243,6 +249,8 @@ class MissionClient:
     ) -> UploadResult:
         """Put a mission on the vehicle, read it back and compare. Never raises for the link.
 
+        A vehicle that is flying its mission would fly the new one at once: that is refused.
+
         Parameters
         ----------
         mission
@@ -274,6 +282,9 @@ class MissionClient:
                     f"no vehicle to talk to: {status.text}",
                     items_total=total,
                 )
+            why = self._against_uploading() if MissionKind.MISSION in kinds else ""
+            if why:
+                return UploadResult(UploadCode.REFUSED_BEFORE, why, items_total=total)
             transfer = MissionTransfer(
                 mission,
                 self._target(state),
@@ -281,6 +292,7 @@ class MissionClient:
                 kinds=kinds,
                 links=self._links,
                 on_progress=_guarded(on_progress),
+                objection=self._against_uploading,
             )
             self._exchange(transfer, should_cancel)
             if transfer.result is None:
@@ -363,9 +375,12 @@ class MissionClient:
             upload is in progress.
         """
         words = "start of the mission"
-        if not self._require_vehicle().armed:
+        state = self._require_vehicle()
+        if not state.armed:
             raise LinkError(f"{words}: the vehicle is not armed; arm it first")
         with self._asking(words) as check, self._as_starting():
+            if state.dialect.start_goes_on and not state.landed:
+                self._go_to_first_item(words, state, check)
             deadline = self._uploaded_at + _MISSION_CHECKED_WITHIN_S
             while True:
                 try:
@@ -443,7 +458,22 @@ class MissionClient:
         finally:
             self._starting = False
 
-    # What speaks against sending a request now, in words; asked before each (re)sending.
+    # What speaks against sending something now, in words; asked before each (re)sending.
+
+    def _against_uploading(self) -> str:
+        vehicle = self._session.vehicle
+        if self._starting:
+            return "a start of the mission is in progress; wait for its answer, then call pause"
+        if (
+            vehicle is not None
+            and vehicle.armed
+            and flies_mission(vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode)
+        ):
+            return (
+                "the vehicle is flying its mission and would fly the new one at once; call pause "
+                "first, then upload"
+            )
+        return ""
 
     def _against_starting(self, now: float) -> str:
         vehicle = self._session.vehicle
@@ -483,6 +513,47 @@ class MissionClient:
 
         `objection` says in words what speaks against sending at a time, see `Command`.
         """
+        state = self._require_vehicle()
+        steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
+        limit = _ARMED_WITHIN_S if intent in (Intent.ARM, Intent.START) else None
+        for code, params in steps:
+            makes_armable = intent is Intent.ARM and code == mav.MAV_CMD_DO_SET_MODE
+            command = Command(
+                code,
+                params,
+                self._target(state),
+                link=self._links.asking,
+                shown_by=shown_by(code, params, state.autopilot, state.vehicle_type),
+                # A start that was heard begins the mission anew each time it is sent.
+                insists=code != mav.MAV_CMD_MISSION_START,
+                limit_s=limit,
+                objection=(lambda _: "") if makes_armable else objection,
+            )
+            self._ask(words, command, check)
+
+    def _go_to_first_item(self, words: str, state: VehicleState, check: Callable[[], None]) -> None:
+        """Make the first item of the mission the current one."""
+        number = 1 if state.dialect.home_item else 0
+        command = Command(
+            mav.MAV_CMD_DO_SET_MISSION_CURRENT,
+            (float(number),),
+            self._target(state),
+            link=self._links.asking,
+            limit_s=_ARMED_WITHIN_S,
+            objection=self._against_starting,
+        )
+        try:
+            self._ask(words, command, check)
+        except RefusedError:
+            if command.result != mav.MAV_RESULT_UNSUPPORTED:
+                raise
+            older = SetCurrent(
+                number, self._target(state), link=self._links.asking, limit_s=_ARMED_WITHIN_S
+            )
+            self._ask(words, older, check)
+
+    def _ask(self, words: str, request: Command | SetCurrent, check: Callable[[], None]) -> None:
+        """Send one request of `words`; raise LinkError unless it is done."""
 
         def is_given_up() -> bool:
             try:
@@ -491,42 +562,25 @@ class MissionClient:
                 return True
             return False
 
-        state = self._require_vehicle()
-        steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
-        for code, params in steps:
-            check()
-            makes_armable = intent is Intent.ARM and code == mav.MAV_CMD_DO_SET_MODE
-            command = self._exchange(
-                Command(
-                    code,
-                    params,
-                    self._target(state),
-                    link=self._links.asking,
-                    shown_by=shown_by(code, params, state.autopilot, state.vehicle_type),
-                    # A start that was heard begins the mission anew each time it is sent.
-                    insists=code != mav.MAV_CMD_MISSION_START,
-                    limit_s=_ARMED_WITHIN_S if intent in (Intent.ARM, Intent.START) else None,
-                    objection=(lambda _: "") if makes_armable else objection,
-                ),
-                is_given_up,
-                Slot.COMMAND,
+        check()
+        self._exchange(request, is_given_up, Slot.COMMAND)
+        check()
+        if request.end is RequestEnd.ACCEPTED:
+            return
+        if request.end is RequestEnd.REFUSED and request.result is not None:
+            text = self._session.vehicle.text if self._session.vehicle is not None else ""
+            said = f" (the vehicle says: {text})" if text else ""
+            raise RefusedError(f"{words}: {command_result(request.result)}{said}")
+        if request.end is None or request.end is RequestEnd.CANCELLED:
+            raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
+        if request.end is RequestEnd.WITHDRAWN and isinstance(request, Command):
+            raise LinkError(f"{words}: {request.why}")
+        if request.end is RequestEnd.UNCHANGED:
+            raise LinkError(
+                f"{words}: the vehicle acknowledged, but its heartbeat does not show it; look "
+                "at the vehicle, then ask again"
             )
-            check()
-            if command.end is RequestEnd.REFUSED and command.result is not None:
-                text = self._session.vehicle.text if self._session.vehicle is not None else ""
-                said = f" (the vehicle says: {text})" if text else ""
-                raise RefusedError(f"{words}: {command_result(command.result)}{said}")
-            if command.end is None or command.end is RequestEnd.CANCELLED:
-                raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
-            if command.end is RequestEnd.WITHDRAWN:
-                raise LinkError(f"{words}: {command.why}")
-            if command.end is RequestEnd.UNCHANGED:
-                raise LinkError(
-                    f"{words}: the vehicle acknowledged, but its heartbeat does not show it; look "
-                    "at the vehicle, then ask again"
-                )
-            if command.end is not RequestEnd.ACCEPTED:
-                raise LinkError(f"{words}: the vehicle does not answer; check the link")
+        raise LinkError(f"{words}: the vehicle does not answer; check the link")
 
     # -- life ----------------------------------------------------------------------------------
 

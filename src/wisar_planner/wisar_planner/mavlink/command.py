@@ -117,6 +117,49 @@ class Clear(_Request):
         return []
 
 
+class SetCurrent(_Request):
+    """State machine that chooses the mission's next item (MISSION_SET_CURRENT).
+
+    For autopilots that do not know the command of that name.
+
+    Parameters
+    ----------
+    number
+        The item, in the autopilot's own numbering.
+    target
+        The autopilot.
+    limit_s
+        After so many seconds it is given up.
+    """
+
+    def __init__(self, number: int, target: Address, *, link: LinkEstimate, limit_s: float) -> None:
+        super().__init__(link)
+        self._number = number
+        self._target = target
+        self._limit_s = limit_s
+
+    def _message(self) -> Message:
+        return mav.MAVLink_mission_set_current_message(
+            self._target.system, self._target.component, self._number
+        )
+
+    def on_time(self, now: float) -> list[Message]:
+        """Send it again, or give up."""
+        if not self.done and now >= self._began_at + self._limit_s:
+            self._finish(RequestEnd.SILENT)
+        return super().on_time(now)
+
+    def on_message(self, message: Message, now: float) -> list[Message]:
+        """Take in the number that the autopilot tells."""
+        if (
+            not self.done
+            and message.get_type() == "MISSION_CURRENT"
+            and message.seq == self._number
+        ):
+            self._answer(mav.MAV_RESULT_ACCEPTED, True, now)
+        return []
+
+
 class Command(_Request):
     """State machine that sends one COMMAND_LONG.
 

@@ -31,6 +31,8 @@ class Dialect:
         Coarseness in metres with which altitudes are kept.
     asks_again_after_s
         How long a request that is repeated may take to arrive, on a link that loses one.
+    start_goes_on
+        Whether a mission started in flight goes on with its current item instead of the first.
     gives_up_after_s
         How long the autopilot waits for an item before it forgets the upload.
     """
@@ -43,6 +45,7 @@ class Dialect:
     rally_altitude_step: float = 1e-3
     asks_again_after_s: float = 1.0
     gives_up_after_s: float = 5.0
+    start_goes_on: bool = False
 
     def to_wire(self, kind: MissionKind, items: Sequence[MissionItem]) -> tuple[MissionItem, ...]:
         """Turn a list as people mean it into the list that is sent."""
@@ -129,6 +132,7 @@ ARDUPILOT = Dialect(
     rally_altitude_step=1.0,
     asks_again_after_s=2.5,
     gives_up_after_s=8.0,
+    start_goes_on=True,
 )
 GENERIC = Dialect("generic", gives_up_after_s=8.0)
 

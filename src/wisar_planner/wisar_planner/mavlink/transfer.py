@@ -127,6 +127,8 @@ class ListTransfer:
         As for `Upload`.
     on_progress
         Called with (phase, items sent, items read back, attempt).
+    objection
+        Called before each sending of the list; words say why it must not be sent now.
     """
 
     _MOST_ATTEMPTS = 8
@@ -148,7 +150,9 @@ class ListTransfer:
         *,
         links: LinkEstimates,
         on_progress: Callable[[str, int, int, int], None] = lambda *_: None,
+        objection: Callable[[], str] = lambda: "",
     ) -> None:
+        self._objection = objection
         self._wanted = tuple(items)
         self._kind = kind
         self._target = target
@@ -192,7 +196,11 @@ class ListTransfer:
         return active.deadline if active is not None else self._pause_until
 
     def start(self, now: float) -> list[Message]:
-        """Begin the first attempt."""
+        """Begin an attempt."""
+        why = self._objection()
+        if why:
+            self._finish(UploadCode.REFUSED_BEFORE, why)
+            return []
         self.attempts += 1
         self._reads = 0
         self._differed = False
@@ -397,6 +405,8 @@ class MissionTransfer:
         As for `Upload`.
     on_progress
         Called on every item.
+    objection
+        Called before each sending of the mission; words say why it must not be sent now.
     """
 
     def __init__(
@@ -408,6 +418,7 @@ class MissionTransfer:
         kinds: Sequence[MissionKind] = UPLOAD_ORDER,
         links: LinkEstimates | None = None,
         on_progress: Callable[[UploadProgress], None] = lambda _: None,
+        objection: Callable[[], str] = lambda: "",
     ) -> None:
         links = links or LinkEstimates()
         self._on_progress = on_progress
@@ -422,6 +433,7 @@ class MissionTransfer:
                     dialect,
                     links=links,
                     on_progress=self._progress,
+                    objection=objection if kind is MissionKind.MISSION else lambda: "",
                 ),
             )
             for kind in UPLOAD_ORDER
@@ -451,7 +463,7 @@ class MissionTransfer:
     def start(self, now: float) -> list[Message]:
         """Begin with the first list."""
         self._started_at = now
-        return self._lists[0][1].start(now)
+        return self._lists[0][1].start(now) + self._go_on(now)
 
     def on_message(self, message: Message, now: float) -> list[Message]:
         """Pass a message to the list in progress."""
@@ -480,7 +492,7 @@ class MissionTransfer:
         ok = transfer.code is UploadCode.VERIFIED
         if ok and self._at + 1 < len(self._lists):
             self._at += 1
-            return self._lists[self._at][1].start(now)
+            return self._lists[self._at][1].start(now) + self._go_on(now)
         error = "" if ok else f"{_LIST_NAMES[kind]}: {transfer.error}"
         if not ok and self._at > 0:
             names = " and ".join(_LIST_NAMES[k] for k, _ in self._lists[: self._at])

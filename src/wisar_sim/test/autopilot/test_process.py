@@ -174,6 +174,28 @@ def test_pause_and_return(px4):
         wait_for(lambda: not client.vehicle.armed)
 
 
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_mission_that_is_flown_is_replaced_only_in_a_hold(start, profile):
+    higher = build_mission(MISSION.waypoints[:, :2], altitude_m=35.0, speed=8.0)
+    with client_of(start("--profile", profile, "--speed-up", "2")) as client:
+        client.wait_heartbeat()
+        assert client.upload(MISSION).verified
+        client.arm()
+        client.start_mission()
+        wait_for(lambda: (client.vehicle.current_item or 0) >= 3)
+        refused = client.upload(higher)
+        assert refused.code is UploadCode.REFUSED_BEFORE
+        assert "call pause first" in refused.error
+        client.pause()
+        held = client.vehicle.current_item
+        assert client.upload(higher).verified
+        assert client.vehicle.armed
+        assert held >= 3
+        client.start_mission()  # from the first item on
+        wait_for(lambda: client.vehicle.relative_altitude > 30.0)
+        assert client.vehicle.current_item <= 2
+
+
 def test_two_clients_at_once_each_get_their_answer(px4):
     results = []
 

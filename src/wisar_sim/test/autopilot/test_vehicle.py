@@ -211,15 +211,43 @@ def test_motors_do_not_stop_in_the_air():
     assert bench.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == mav.MAV_RESULT_DENIED
 
 
-def test_a_new_mission_in_flight_ends_in_a_hold():
-    bench = Bench()
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_new_mission_in_flight_is_flown_at_once(profile):
+    bench = Bench(profile)
+    bench.upload(mission(end="loiter"))
+    bench.arm()
+    bench.start()
+    bench.step(15.0)
+    flown = bench.autopilot.vehicle.current
+    assert flown > 1
+    bench.upload(mission(altitude_m=45.0, end="loiter"), wait=0.0)
+    assert bench.autopilot.vehicle.current == (0 if profile == "px4" else flown)
+    bench.step(30.0)
+    assert bench.autopilot.vehicle.mode.value == "mission"
+    assert bench.autopilot.vehicle.body.position[2] == pytest.approx(45.0, abs=1.0)
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_start_in_flight(profile):
+    """ArduPilot goes on with the current item; choosing one changes no mode."""
+    bench = Bench(profile)
     bench.upload(mission())
     bench.arm()
     bench.start()
-    bench.step(10.0)
-    bench.upload(mission())
-    assert bench.autopilot.vehicle.mode.value == "hold"
-    assert bench.autopilot.vehicle.armed
+    bench.step(15.0)
+    vehicle = bench.autopilot.vehicle
+    hold = (1.0, 4.0, 3.0) if profile == "px4" else (1.0, 4.0)
+    assert bench.command(mav.MAV_CMD_DO_SET_MODE, *hold) == OK
+    flown = vehicle.current
+    assert flown > 1
+    assert bench.start() == OK
+    assert vehicle.current == (0 if profile == "px4" else flown)
+    assert bench.command(mav.MAV_CMD_DO_SET_MODE, *hold) == OK
+    first = 0.0 if profile == "px4" else 1.0
+    assert bench.command(mav.MAV_CMD_DO_SET_MISSION_CURRENT, first) == OK
+    assert (vehicle.current, vehicle.mode.value) == (0, "hold")
+    assert bench.start() == OK
+    assert vehicle.current == 0
 
 
 def test_messages_to_others_are_ignored():

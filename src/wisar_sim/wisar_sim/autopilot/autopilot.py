@@ -85,6 +85,7 @@ class Autopilot:
             on_reached=self._reached,
             on_current=self._current_changed,
             stays_in_mission=profile.stays_in_mission,
+            goes_on=profile.goes_on,
         )
         self.missions = MissionServer(profile, self._home_item, self._list_changed)
         self._speed_up = speed_up
@@ -309,7 +310,7 @@ class Autopilot:
             self._say(mav.MAV_SEVERITY_CRITICAL, f"Mission denied: {reason}")
             return int(mav.MAV_RESULT_DENIED)
         self.vehicle.armed = True
-        self.vehicle.restart_mission()
+        self.vehicle.start_mission()
         return int(mav.MAV_RESULT_ACCEPTED)
 
     def _set_mode(self, params: tuple[float, ...]) -> int:
@@ -346,7 +347,7 @@ class Autopilot:
         number = params[0] - (1 if self.profile.home_item else 0)
         if not 0 <= number < len(self.vehicle.items):
             return int(mav.MAV_RESULT_DENIED)
-        self.vehicle.restart_mission(int(number))
+        self.vehicle.select(int(number))
         return int(mav.MAV_RESULT_ACCEPTED)
 
     def _set_interval(self, params: tuple[float, ...]) -> int:

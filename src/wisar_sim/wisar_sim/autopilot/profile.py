@@ -67,6 +67,9 @@ class Profile:
     stays_in_mission
         Whether the mode remains that of the mission at its end, in which, as in a return, the
         vehicle cannot be armed.
+    goes_on
+        Whether a mission that is replaced, or started anew, in flight goes on with the item that
+        is current then; the others begin with the first.
     streams_when_asked
         Whether nothing but the heartbeat is sent regularly until it is asked for.
     """
@@ -92,6 +95,7 @@ class Profile:
     tells_return: bool = True
     stays_in_mission: bool = False
     streams_when_asked: bool = False
+    goes_on: bool = False
 
 
 PROFILES: dict[str, Profile] = {
@@ -119,6 +123,7 @@ PROFILES: dict[str, Profile] = {
         home_item=True,
         stays_in_mission=True,
         streams_when_asked=True,
+        goes_on=True,
     ),
     "mavsdk": Profile(
         "mavsdk",

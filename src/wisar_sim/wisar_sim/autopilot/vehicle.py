@@ -53,6 +53,8 @@ class Vehicle:
         Called with the number of an item that was reached, or that is flown to next.
     stays_in_mission
         Whether the mode remains that of the mission at its end.
+    goes_on
+        Whether a mission that is replaced or started in flight goes on with the current item.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Vehicle:
         on_reached: Callable[[int], None] = lambda _: None,
         on_current: Callable[[int], None] = lambda _: None,
         stays_in_mission: bool = False,
+        goes_on: bool = False,
     ) -> None:
         self.home = home
         self.frame = LocalFrame(home)
@@ -73,6 +76,7 @@ class Vehicle:
         self.items: tuple[StoredItem, ...] = ()
         self.current = 0
         self._stays_in_mission = stays_in_mission
+        self._goes_on = goes_on
         self._mission_ended = False
         self._speed = self.body.airframe.cruise_speed
         self._waited_s = 0.0
@@ -85,11 +89,12 @@ class Vehicle:
     # -- what others ask for -------------------------------------------------------------------
 
     def load(self, items: Sequence[StoredItem]) -> None:
-        """Take in a new mission; a flight of the old one ends in a hold."""
+        """Take in a new mission; in the mission's mode it is flown at once."""
         self.items = tuple(items)
-        self._go_to(0)
-        if self.mode is Mode.MISSION and not self._mission_ended:
-            self.set_mode(Mode.HOLD)
+        if self._goes_on and self.armed:
+            self._target = None
+        else:
+            self._go_to(0)
 
     def set_mode(self, mode: Mode) -> None:
         """Change what the vehicle does; a mission flown to its end begins anew."""
@@ -101,12 +106,17 @@ class Vehicle:
         self._hold_at = None
         self._waited_s = 0.0
 
-    def restart_mission(self, first: int = 0) -> None:
-        """Fly the mission from an item on."""
-        self._speed = self.body.airframe.cruise_speed
-        self._mission_ended = False
-        self._go_to(first)
+    def start_mission(self) -> None:
+        """Fly the mission, from its first item unless it goes on."""
+        if not (self._goes_on and self.flying):
+            self._speed = self.body.airframe.cruise_speed
+            self.select(0)
         self.set_mode(Mode.MISSION)
+
+    def select(self, number: int) -> None:
+        """Make an item the current one; the mode stays."""
+        self._mission_ended = False
+        self._go_to(number)
 
     @property
     def flying(self) -> bool:
