@@ -8,9 +8,13 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
+from rclpy.parameter import Parameter
 
 from wisar_msgs.action import UploadMission
 from wisar_planner.pdm import GaussianMixture
@@ -87,6 +91,21 @@ class Suite:
             if time.monotonic() > deadline:
                 pytest.fail(f"waited {timeout:g} s for {what}")
             time.sleep(0.02)
+
+    def ask(self, kind: type, service: str, request: object) -> Any:
+        """Call a service and return its answer."""
+        client = self.operator.node.create_client(kind, service)
+        self.wait(client.service_is_ready, service)
+        future = client.call_async(request)
+        self.wait(future.done, f"the answer of {service}")
+        return future.result()
+
+    def set_parameter(self, name: str, value: object, node: str = "planner") -> SetParametersResult:
+        """Ask a node to change a parameter and return its answer."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        return self.ask(SetParameters, f"{node}/set_parameters", request).results[0]
 
     # Topics keep no order among each other: that one message is here says nothing of the others.
 

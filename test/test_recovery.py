@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -52,11 +53,7 @@ def test_ctrl_c_in_flight_ends_every_node_in_order(suite, mixture_file) -> None:
 
 
 def load(suite, path: Path):
-    client = suite.operator.node.create_client(LoadPdm, "load_pdm")
-    suite.wait(client.service_is_ready, "the load_pdm service")
-    future = client.call_async(LoadPdm.Request(path=str(path)))
-    suite.wait(future.done, "the answer of load_pdm")
-    return future.result()
+    return suite.ask(LoadPdm, "load_pdm", LoadPdm.Request(path=str(path)))
 
 
 def test_load_pdm_replaces_the_map_and_the_plan_follows(suite, mixture_file, write_mixture) -> None:
@@ -130,6 +127,23 @@ def test_a_file_that_is_no_map_is_refused_and_the_map_stays(suite, mixture_file,
         assert words in answer.message, answer.message
     assert "Traceback" not in suite.log("pdm_server")
     assert (suite.operator.map, suite.operator.plan) == (good_map, good_plan)
+
+
+def test_a_grid_that_is_too_fine_is_refused_before_anything_is_published(
+    suite, write_mixture
+) -> None:
+    suite.start("wisar_planner", "pdm_server", map=str(write_mixture("a.yaml")), grid_cell=1.0)
+    suite.wait(lambda: suite.operator.map, "the map")
+    good = suite.operator.map
+    assert suite.set_parameter("grid_cell", 1e-6, "pdm_server").successful
+    answer = load(suite, write_mixture("b.yaml", shift=50.0))
+    assert not answer.success
+    assert "grid_cell" in answer.message
+    time.sleep(0.3)
+    assert suite.operator.map == good
+    assert "Traceback" not in suite.log("pdm_server")
+    assert suite.set_parameter("grid_cell", 5.0, "pdm_server").successful
+    assert load(suite, write_mixture("b.yaml", shift=50.0)).success
 
 
 def test_a_map_server_with_a_wrong_map_ends_with_one_line(suite, tmp_path) -> None:

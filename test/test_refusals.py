@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from wisar_msgs.msg import MissionStatus, ProbabilityMap, Ring, SearchPlan
 from wisar_planner.nodes.qos import LATCHED
@@ -245,7 +245,7 @@ def test_a_wrong_parameter_is_refused(suite, mixture_file) -> None:
     suite.wait_for_plan()
     good = suite.operator.plan
     for name, value in WRONG_PARAMETERS:
-        result = set_parameter(suite, name, value)
+        result = suite.set_parameter(name, value)
         assert not result.successful, name
         assert result.reason
     time.sleep(0.3)
@@ -256,7 +256,7 @@ def test_a_parameter_change_replans(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
     suite.start_planner()
     suite.wait_for_plan()
-    assert set_parameter(suite, "max_distance", 600.0).successful
+    assert suite.set_parameter("max_distance", 600.0).successful
     suite.wait(lambda: suite.operator.plan.budget == 600.0, "the plan of the new budget")
 
 
@@ -270,7 +270,7 @@ def test_a_parameter_change_replans(suite, mixture_file) -> None:
 )
 def test_a_word_that_is_no_choice_is_refused(suite, package: str, node: str, name: str) -> None:
     suite.start(package, node)
-    result = set_parameter(suite, name, "teleport", node)
+    result = suite.set_parameter(name, "teleport", node)
     assert not result.successful
     assert f"{name} must be one of" in result.reason
     suite.processes.kill(node)
@@ -290,11 +290,11 @@ def test_a_word_that_is_no_choice_is_refused(suite, package: str, node: str, nam
 )
 def test_every_parameter_has_a_meaning_and_a_range(suite, package: str, node: str) -> None:
     suite.start(package, node)
-    found = ask(suite, ListParameters, f"{node}/list_parameters", ListParameters.Request())
+    found = suite.ask(ListParameters, f"{node}/list_parameters", ListParameters.Request())
     names = [name for name in found.result.names if not name.startswith(ROS_OWN)]
     assert names
     request = DescribeParameters.Request(names=names)
-    for each in ask(suite, DescribeParameters, f"{node}/describe_parameters", request).descriptors:
+    for each in suite.ask(DescribeParameters, f"{node}/describe_parameters", request).descriptors:
         assert each.description, each.name
         if each.type == ParameterType.PARAMETER_INTEGER:
             assert each.integer_range, each.name
@@ -305,22 +305,3 @@ def test_every_parameter_has_a_meaning_and_a_range(suite, package: str, node: st
 
 
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
-
-
-def ask(suite, kind: type, service: str, request: object):
-    client = suite.operator.node.create_client(kind, service)
-    suite.wait(client.service_is_ready, service)
-    future = client.call_async(request)
-    suite.wait(future.done, f"the answer of {service}")
-    return future.result()
-
-
-def set_parameter(suite, name: str, value: object, node: str = "planner"):
-    if isinstance(value, str):
-        typed = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-    elif isinstance(value, list):
-        typed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=value)
-    else:
-        typed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=typed)])
-    return ask(suite, SetParameters, f"{node}/set_parameters", request).results[0]

@@ -140,6 +140,17 @@ def test_a_raster_map_becomes_a_grid_too() -> None:
     assert set(grid.data) == {100}
 
 
+@pytest.mark.parametrize("cell", [1e-300, 1e-3, 0.5])
+def test_a_grid_of_too_many_cells_is_refused_with_a_cell_that_will_do(cell: float) -> None:
+    raster = RasterMap(np.full((4, 4), 1 / 16), Grid(0.0, 0.0, 500.0, 4, 4))
+    area = SearchArea.rectangle(0, 0, 2000, 1000)
+    header = conversions.header(0, "map")
+    with pytest.raises(InvalidInput, match=r"cells of at least 0\.707 m"):
+        conversions.grid_to_msg(raster, area, cell, header)
+    grid = conversions.grid_to_msg(raster, area, 0.7072, header)
+    assert 3_990_000 < len(grid.data) < 4_010_000
+
+
 @pytest.mark.parametrize("message", [ProbabilityMap(), ProbabilityMap(id="x"), SearchPlan()])
 def test_an_empty_message_is_refused(message) -> None:
     read = (

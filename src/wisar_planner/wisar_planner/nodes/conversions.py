@@ -7,6 +7,7 @@ what is wrong, so a node can refuse the message and keep its last good state.
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_planner.search import SearchArea, SearchPath, SearchProblem, upper_bound
 
 FloatArray = NDArray[np.float64]
+
+LARGEST_GRID = 4_000_000
+"""Cells of an OccupancyGrid, 1 byte each: more floods the middleware and no display shows them."""
 
 
 @dataclass(frozen=True)
@@ -341,7 +345,35 @@ def pose(point: FloatArray, heading: float, message_header: Header) -> PoseStamp
 def grid_to_msg(
     pdm: ProbabilityMap, area: SearchArea, cell: float, message_header: Header
 ) -> OccupancyGrid:
-    """Return the map as an OccupancyGrid: 100 at its most probable cell, -1 outside the area."""
+    """Return the map as an OccupancyGrid: 100 at its most probable cell, -1 outside the area.
+
+    Parameters
+    ----------
+    pdm, area
+        The map and where to search, in local metres.
+    cell : float
+        Side of a cell, m.
+    message_header : Header
+        Stamp and frame.
+
+    Raises
+    ------
+    InvalidInput
+        When the grid would have more than `LARGEST_GRID` cells.
+    """
+    xmin, ymin, xmax, ymax = area.bounds
+    # In floats and before any array is made: the count may exceed every integer type.
+    count = max(1.0, (xmax - xmin) / cell) * max(1.0, (ymax - ymin) / cell)
+    if count > LARGEST_GRID:
+        # A strip may be narrower than a cell.
+        smallest = max(
+            math.sqrt((xmax - xmin) * (ymax - ymin) / LARGEST_GRID),
+            max(xmax - xmin, ymax - ymin) / LARGEST_GRID,
+        )
+        raise InvalidInput(
+            f"a grid of {cell:g} m cells over this area would have {count:.3g} cells, more than "
+            f"{LARGEST_GRID}: choose cells of at least {smallest:.3g} m"
+        )
     grid = Grid.covering(area.bounds, cell)
     probability = pdm.rasterize(grid)
     peak = float(probability.max())
@@ -356,7 +388,7 @@ def grid_to_msg(
     message.info.origin.position.x = float(grid.x0)
     message.info.origin.position.y = float(grid.y0)
     message.info.origin.orientation.w = 1.0
-    message.data = np.where(inside, scaled, np.int8(-1)).ravel().tolist()
+    message.data = array("b", np.where(inside, scaled, np.int8(-1)).tobytes())
     return message
 
 

@@ -6,6 +6,7 @@ import hashlib
 import math
 import sys
 import threading
+import traceback
 from pathlib import Path
 
 from nav_msgs.msg import OccupancyGrid
@@ -86,6 +87,14 @@ class PdmServer(Node):
             self.get_logger().error(f"{error}; the published map stays")
             response.success, response.message = False, str(error)
             return response
+        except Exception as error:
+            # A client without an answer waits for ever.
+            self.get_logger().error(
+                f"loading failed, the published map stays:\n{traceback.format_exc()}"
+            )
+            response.success = False
+            response.message = f"loading failed: {type(error).__name__}: {error}"
+            return response
         response.success, response.message, response.map_id = True, text, located.map_id
         return response
 
@@ -95,7 +104,7 @@ class PdmServer(Node):
         Raises
         ------
         InvalidInput
-            When the file cannot be used as a map.
+            When the file cannot be used as a map, or `grid_cell` not for its area.
         OSError
             When it cannot be read.
         """
@@ -130,12 +139,16 @@ class PdmServer(Node):
         )
 
     def _publish(self, located: LocatedMap) -> None:
-        self._map_publisher.publish(conversions.map_to_msg(located))
+        """Publish map and grid, both or, where the grid is refused, neither."""
         cell = self.get_parameter("grid_cell").value or _default_cell(located.area)
         header = conversions.header(located.stamp_ns, located.frame_id)
-        self._grid_publisher.publish(
-            conversions.grid_to_msg(located.pdm, located.area, cell, header)
-        )
+        message = conversions.map_to_msg(located)
+        try:
+            grid = conversions.grid_to_msg(located.pdm, located.area, cell, header)
+        except InvalidInput as error:
+            raise InvalidInput(f"parameter grid_cell: {error}") from None
+        self._map_publisher.publish(message)
+        self._grid_publisher.publish(grid)
 
 
 def _default_cell(area: SearchArea) -> float:
