@@ -11,6 +11,7 @@ import rasterio
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rasterio.enums import ColorInterp
 from rasterio.transform import Affine, from_origin
 
 from wisar_planner.errors import InvalidInput
@@ -228,6 +229,39 @@ def test_wrong_values_and_places_are_refused(tmp_path, values, options, message)
     path = write_tif(tmp_path / "wrong.tif", values, **options)
     with pytest.raises(InvalidInput, match=rf"wrong\.tif: (?s:.)*{message}"):
         load_map(path)
+
+
+def write_bands(path, values, **profile):
+    with rasterio.open(
+        path, "w", driver="GTiff", count=len(values), dtype=values.dtype,
+        height=values.shape[1], width=values.shape[2],
+        crs="EPSG:32630", transform=from_origin(377_000, 6_293_000, 10, 10), **profile,
+    ) as dataset:  # fmt: skip
+        dataset.write(values)
+    return path
+
+
+def test_a_picture_of_a_map_is_refused(tmp_path):
+    path = write_bands(tmp_path / "rgb.tif", np.full((4, 4, 4), 200, "uint8"))
+    for band, name in enumerate(("red", "green", "blue", "alpha"), 1):
+        with pytest.raises(InvalidInput, match=f"band {band} is the {name} of colours, a picture"):
+            load_map(path, band=band)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = [ColorInterp.undefined] * 4  # as the message says
+    assert "band 2 of 4" in load_map(path, band=2).notes
+    palette = write_bands(tmp_path / "palette.tif", np.ones((1, 4, 4), "uint8"))
+    with rasterio.open(palette, "r+") as dataset:
+        dataset.write_colormap(1, {1: (255, 0, 0, 255)})
+    with pytest.raises(InvalidInput, match=r"band 1 is a palette of colours.*raw values"):
+        load_map(palette)
+
+
+def test_which_of_several_bands_was_read_is_said(tmp_path):
+    path = write_bands(tmp_path / "bands.tif", np.ones((3, 4, 4), "float32"))
+    assert "band 1 of 3" in load_map(path).notes
+    assert "band 3 of 3" in load_map(path, band=3).notes
+    one = write_bands(tmp_path / "one.tif", np.ones((1, 4, 4), "float32"))
+    assert not any("band" in note for note in load_map(one).notes)
 
 
 def test_an_area_without_probability_is_refused(tmp_path):

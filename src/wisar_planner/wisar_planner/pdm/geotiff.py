@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import rasterio
 import shapely
+from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
 from rasterio.transform import Affine
 from shapely import Polygon
@@ -28,6 +29,13 @@ from wisar_planner.pdm.warp_kernels import split_cells
 
 MAX_CELLS = 50_000_000
 """Largest raster that is read or made; it bounds the memory of a load to about 2 GB."""
+
+_COLOURS = (
+    ColorInterp.red,
+    ColorInterp.green,
+    ColorInterp.blue,
+    ColorInterp.alpha,
+)
 
 _BLOCK_ROWS = 512
 
@@ -65,8 +73,8 @@ def load_geotiff(
     Raises
     ------
     InvalidInput
-        If the file is no GeoTIFF, has no place on Earth, too many cells, a negative or infinite
-        value, or no positive one.
+        If the file is no GeoTIFF, is a picture, has no place on Earth, too many cells, a negative
+        or infinite value, or no positive one.
     OSError
         If it cannot be read.
     """
@@ -115,6 +123,7 @@ def _read(path: Path, band: int) -> tuple[FloatArray, Any, Affine, list[str]]:
     try:
         with rasterio.open(path, driver="GTiff") as dataset:
             _check_dataset(dataset, path, band)
+            notes = [f"band {band} of {dataset.count}"] if dataset.count > 1 else []
             raw = dataset.read(band)
             seen = dataset.read_masks(band) > 0
             scale, offset = dataset.scales[band - 1], dataset.offsets[band - 1]
@@ -126,7 +135,6 @@ def _read(path: Path, band: int) -> tuple[FloatArray, Any, Affine, list[str]]:
     values = raw.astype(np.float64) * scale + offset
     missing = ~seen | np.isnan(values)
     values[missing] = 0.0
-    notes = []
     if missing.any():
         count = int(missing.sum())
         notes.append(f"{count} cells without data ({count / values.size:.1%}): probability 0")
@@ -154,6 +162,27 @@ def _check_dataset(dataset: Any, path: Path, band: int) -> None:
         )
     if "complex" in dataset.dtypes[band - 1]:
         raise InvalidInput(f"{path}: band {band} holds complex numbers; choose a real band")
+    _check_colours(dataset, path, band)
+
+
+def _check_colours(dataset: Any, path: Path, band: int) -> None:
+    """Refuse a picture: a colour is no probability, and in most pictures nothing is white, 255."""
+    refusal = f"{path}: band {band} is %s, a picture of a map; export the raw values"
+    if _has_colour_table(dataset, band):
+        raise InvalidInput(f"{refusal % 'a palette of colours'}, without a colour table")
+    colour = dataset.colorinterp[band - 1]
+    if colour in _COLOURS:
+        raise InvalidInput(
+            f"{refusal % f'the {colour.name} of colours'} (in QGIS: Save As, Raw data); if it does "
+            f"hold probabilities: gdal_edit.py -colorinterp_{band} undefined {path.name}"
+        )
+
+
+def _has_colour_table(dataset: Any, band: int) -> bool:
+    try:
+        return bool(dataset.colormap(band))
+    except ValueError:  # how rasterio says that there is none
+        return False
 
 
 def _check_values(values: FloatArray, path: Path) -> None:
