@@ -34,11 +34,11 @@ from wisar_planner.mavlink.modes import (
 )
 from wisar_planner.mavlink.session import LinkStatus, Session, Slot
 from wisar_planner.mavlink.transfer import (
-    UPLOAD_ORDER,
     MissionTransfer,
     UploadCode,
     UploadProgress,
     UploadResult,
+    lists_of,
 )
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.mavlink.wording import command_result, mission_result
@@ -245,7 +245,8 @@ class MissionClient:
         *,
         on_progress: Callable[[UploadProgress], None] = lambda _: None,
         should_cancel: Callable[[], bool] = lambda: False,
-        kinds: Sequence[MissionKind] = UPLOAD_ORDER,
+        kinds: Sequence[MissionKind] | None = None,
+        clear_old: bool = False,
     ) -> UploadResult:
         """Put a mission on the vehicle, read it back and compare. Never raises for the link.
 
@@ -254,19 +255,24 @@ class MissionClient:
         Parameters
         ----------
         mission
-            What to put there; empty fence and rally lists clear the old ones.
+            What to put there.
         on_progress
             Called on every item.
         should_cancel
             Asked a few times per second; True ends the upload politely.
         kinds
-            Lists to touch; the others stay as they are.
+            Lists to touch, of which empty ones are deleted on the vehicle; the others stay as they
+            are. None takes the mission's flight, and its fence and rally points if it has any.
+        clear_old
+            Where `kinds` is None: whether a fence and rally points that the mission does not have
+            are deleted on the vehicle.
 
         Returns
         -------
         UploadResult
             Only `verified` means that the new mission counts.
         """
+        kinds = lists_of(mission, clear_old=clear_old) if kinds is None else kinds
         total = sum(len(mission.of_kind(k)) for k in kinds)
         if not self._uploading.acquire(blocking=False):
             return UploadResult(

@@ -161,7 +161,8 @@ class MissionItem:
 class Mission:
     """What is put on an autopilot: the flight, the geofence and the rally points.
 
-    An empty `fence` or `rally` means that no such list is wanted, and that an old one is cleared.
+    An empty `fence` or `rally` means that the mission brings none; what the autopilot holds then
+    stays, unless an upload is told to delete it.
     """
 
     items: tuple[MissionItem, ...] = ()

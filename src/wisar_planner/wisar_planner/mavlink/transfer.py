@@ -28,6 +28,23 @@ _LIST_NAMES = {
 }
 
 
+def lists_of(mission: Mission, *, clear_old: bool = False) -> tuple[MissionKind, ...]:
+    """Return the lists that an upload touches: the flight, and of the others what there is.
+
+    Parameters
+    ----------
+    mission
+        What is to be uploaded.
+    clear_old
+        Whether a fence and rally points that the mission does not have are deleted on the vehicle.
+    """
+    return tuple(
+        kind
+        for kind in UPLOAD_ORDER
+        if clear_old or kind is MissionKind.MISSION or mission.of_kind(kind)
+    )
+
+
 class UploadCode(IntEnum):
     """Numbered outcomes of an upload; the numbers are those of the UploadMission action."""
 
@@ -85,6 +102,8 @@ class UploadResult:
         Times that sending a list was begun, over all lists.
     elapsed_s
         Duration in seconds.
+    notes
+        What else to know, in one sentence each, such as which lists were deleted.
     old_counts
         Whether the mission that the autopilot held before still counts. False after success, and
         where the autopilot may hold something that has not been verified.
@@ -98,6 +117,7 @@ class UploadResult:
     attempts: int = 0
     elapsed_s: float = 0.0
     old_counts: bool = True
+    notes: tuple[str, ...] = ()
 
     @property
     def verified(self) -> bool:
@@ -398,9 +418,10 @@ class MissionTransfer:
     Parameters
     ----------
     mission
-        What to put there. An empty fence or rally list clears the old one.
+        What to put there.
     kinds
-        Lists to touch; the others stay as they are.
+        Lists to touch, of which empty ones are deleted; the others stay as they are. None takes
+        those of `lists_of`.
     target, dialect, links
         As for `Upload`.
     on_progress
@@ -415,13 +436,15 @@ class MissionTransfer:
         target: Address,
         dialect: Dialect,
         *,
-        kinds: Sequence[MissionKind] = UPLOAD_ORDER,
+        kinds: Sequence[MissionKind] | None = None,
         links: LinkEstimates | None = None,
         on_progress: Callable[[UploadProgress], None] = lambda _: None,
         objection: Callable[[], str] = lambda: "",
     ) -> None:
         links = links or LinkEstimates()
+        kinds = lists_of(mission) if kinds is None else kinds
         self._on_progress = on_progress
+        self._deleted = frozenset(kind for kind in kinds if not mission.of_kind(kind))
         self._total = sum(len(mission.of_kind(k)) for k in kinds)
         self._lists = [
             (
@@ -494,9 +517,12 @@ class MissionTransfer:
             self._at += 1
             return self._lists[self._at][1].start(now) + self._go_on(now)
         error = "" if ok else f"{_LIST_NAMES[kind]}: {transfer.error}"
-        if not ok and self._at > 0:
-            names = " and ".join(_LIST_NAMES[k] for k, _ in self._lists[: self._at])
-            error += f" (new already: {names})"
+        verified = [k for k, t in self._lists if t.code is UploadCode.VERIFIED]
+        new = [_LIST_NAMES[k] for k in verified if k not in self._deleted]
+        gone = [_LIST_NAMES[k] for k in verified if k in self._deleted]
+        if not ok and new:
+            error += f" (new already: {' and '.join(new)})"
+        notes = (f"deleted on the vehicle: {' and '.join(gone)}",) if gone else ()
         assert transfer.code is not None
         self.result = UploadResult(
             code=transfer.code,
@@ -507,5 +533,6 @@ class MissionTransfer:
             attempts=sum(t.attempts for _, t in self._lists),
             elapsed_s=now - self._started_at,
             old_counts=all(t.old_counts for k, t in self._lists if k is MissionKind.MISSION),
+            notes=notes,
         )
         return []

@@ -145,6 +145,12 @@ class MavlinkBridge(Node):
         declare("fence", False, "Whether the search area is uploaded as a geofence")
         declare("fence_margin", 30.0, "How far outside the area the fence stands, m", minimum=0.0)
         declare("rally", False, "Whether the launch point is uploaded as a rally point")
+        declare(
+            "clear_old",
+            False,
+            "Whether an upload deletes the fence and the rally points on the vehicle that it does "
+            "not replace; false leaves them as they are",
+        )
         declare("min_altitude", 2.0, "Lowest altitude allowed, m", minimum=0.0)
         declare("max_altitude", 120.0, "Highest altitude allowed, m", minimum=0.0)
         declare(
@@ -285,22 +291,25 @@ class MavlinkBridge(Node):
 
         before = self._state, self._text, self._items
         outcome = self._client.upload(
-            mission, on_progress=on_progress, should_cancel=lambda: goal.is_cancel_requested
+            mission,
+            on_progress=on_progress,
+            should_cancel=lambda: goal.is_cancel_requested,
+            clear_old=self._value("clear_old"),
         )
         if outcome.verified:
             self._map_id = plan.map_id
             self._track(plan, mission)
             count = len(mission.items)
-            text = f"{count} items uploaded, read back and equal"
+            text = "; ".join((f"{count} items uploaded, read back and equal", *outcome.notes))
             self._set_state(MissionStatus.VERIFIED, text, (count, count))
             self.get_logger().info(text)
             goal.succeed()
-            return Result(error_code=Result.NONE, items=count)
+            return Result(error_code=Result.NONE, error_text="; ".join(outcome.notes), items=count)
         if not outcome.old_counts:  # nobody knows what the vehicle would fly now
             self._map_id, self._tracker = "", None
-        text = "; ".join((outcome.error, *outcome.differences[:5]))
+        text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))
         self.get_logger().error(f"upload failed: {text}")
-        if int(outcome.code) == Result.BUSY:
+        if int(outcome.code) in (Result.BUSY, Result.UNSAFE):  # the mission was not touched
             self._set_state(*before)
         else:
             self._set_state(MissionStatus.FAILED, text, (0, len(mission.items)))

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 from wisar_planner.mavlink.dialect import dialect_of
 from wisar_planner.mavlink.exchange import Address
 from wisar_planner.mavlink.mission import Mission, MissionKind, build_mission
-from wisar_planner.mavlink.transfer import MissionTransfer, UploadCode
+from wisar_planner.mavlink.transfer import MissionTransfer, UploadCode, lists_of
 from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
 from wisar_sim.autopilot.conversation import Conversation
 from wisar_sim.autopilot.mission_server import MissionServer, StoredItem
@@ -81,10 +81,20 @@ def test_fence_rally_points_and_mission_arrive(profile):
 
 
 @ALL
-def test_old_fences_and_rally_points_are_cleared(profile):
+def test_old_fences_and_rally_points_stay_unless_their_deletion_is_asked_for(profile):
     setup = Setup(profile)
     assert setup.upload(mission(inclusions=[SQUARE], rally=[(57.0, -4.0)])).verified
-    assert setup.upload(mission()).verified
+    result = setup.upload(mission(5))
+    assert result.verified
+    assert result.notes == ()
+    assert [len(setup.server.lists[k]) for k in MissionKind] == [5 + 3, 4, 1]
+    wanted = mission(rally=[(57.0, -4.0), (57.0, -4.1)])
+    result = setup.upload(wanted, kinds=lists_of(wanted, clear_old=True))
+    assert result.verified
+    assert result.notes == ("deleted on the vehicle: fence",)
+    assert setup.holds(wanted)
+    gone = setup.upload(mission(), kinds=lists_of(mission(), clear_old=True))
+    assert gone.notes == ("deleted on the vehicle: fence and rally points",)
     assert setup.holds(mission())
 
 
