@@ -139,9 +139,8 @@ def test_the_origin_is_the_centre_and_north_is_up(tmp_path):
     values = np.zeros((5, 7))
     values[0, 6] = 1.0  # the north-east corner of a north-up file
     loaded = load_map(write_tif(tmp_path / "map.tif", values))
-    ((east, north),) = loaded.pdm.grid.centres()[
-        np.unravel_index(loaded.pdm.probability.argmax(), loaded.pdm.probability.shape)
-    ][None]
+    raster = loaded.pdm
+    east, north = np.einsum("ij,ijk->k", raster.probability, raster.grid.centres())
     assert (east, north) == pytest.approx((30.0, 20.0), abs=1.5)
     assert loaded.area.centroid.coords[0] == pytest.approx((0.0, 0.0), abs=0.1)
     assert loaded.source.endswith("map.tif")
@@ -229,6 +228,63 @@ def test_wrong_values_and_places_are_refused(tmp_path, values, options, message)
     path = write_tif(tmp_path / "wrong.tif", values, **options)
     with pytest.raises(InvalidInput, match=rf"wrong\.tif: (?s:.)*{message}"):
         load_map(path)
+
+
+@pytest.mark.parametrize("column", [None, 0, 15], ids=["rim", "west", "east"])
+@pytest.mark.parametrize(
+    ("crs", "cell", "turn"),
+    [
+        pytest.param("EPSG:4326", (3e-3, 2e-3), 0.0, id="degrees"),
+        pytest.param("EPSG:27700", 200.0, 25.0, id="turned"),
+        pytest.param("EPSG:32630", 200.0, 0.0, id="utm"),
+    ],
+)
+def test_coarse_cells_keep_their_mass_within_the_border(tmp_path, crs, cell, turn, column):
+    rows, columns = 12, 16
+    values = np.zeros((rows, columns))
+    if column is None:
+        values[0], values[:, 0] = 1.0, 1.0
+    else:
+        values[:, column] = np.arange(rows)
+    transform = around(crs, cell, columns, rows, turn)
+    loaded = load_map(write_tif(tmp_path / "map.tif", values, crs, transform))
+    assert loaded.pdm.probability.sum() == pytest.approx(1.0, abs=1e-9)
+    assert not any("border" in note for note in loaded.notes)
+    corners = corners_in_local(crs, transform, rows, columns, loaded.frame)
+    # The raster's outline and its northern half, from pyproj and shapely alone.
+    for last in (rows, rows // 2):
+        part = corners[: last + 1]
+        outline = shapely.Polygon(
+            np.concatenate((part[0], part[1:, -1], part[-1, -2::-1], part[-2:0:-1, 0]))
+        )
+        expected = values[:last].sum() / values.sum()
+        assert loaded.pdm.integrate(outline) == pytest.approx(expected, abs=0.01)
+
+
+def test_probability_smeared_over_the_border_is_said(tmp_path):
+    path = write_tif(
+        tmp_path / "map.tif", np.ones((12, 16)), "EPSG:27700",
+        around("EPSG:27700", 200.0, 16, 12, 25.0),
+    )  # fmt: skip
+    loaded = load_map(path, cell=200.0)
+    inside = loaded.pdm.integrate(loaded.area)
+    assert 0.9 < inside < 0.99
+    note = f"{inside:.3f} of the probability lies in the raster's footprint"
+    assert any(found.startswith(note) for found in loaded.notes)
+
+
+@pytest.mark.parametrize(
+    ("values", "total"),
+    [
+        (np.full((3, 4), 1.5e308), "more than 1e308"),
+        (np.full((3, 4), 5e-324), "5.92879e-323"),
+    ],
+    ids=["huge", "tiny"],
+)
+def test_values_whose_sum_is_no_number_are_normalised(tmp_path, values, total):
+    loaded = load_map(write_tif(tmp_path / "map.tif", values))
+    assert loaded.pdm.probability.sum() == pytest.approx(1.0, abs=1e-12)
+    assert any(f"sum to {total}: divided" in note for note in loaded.notes)
 
 
 def write_bands(path, values, **profile):

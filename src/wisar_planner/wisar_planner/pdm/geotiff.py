@@ -3,12 +3,14 @@
 The value of a cell is taken as the weight of that cell: a probability, a score or, where cells are
 equally large, a density. Cells without data (the file's nodata value or mask, and NaN) weigh
 nothing. The warp keeps the mass: each source cell, a quadrilateral in the local frame, is split
-among the local cells that it overlaps, by area.
+among the local cells that it overlaps, by area. Where cells as coarse as the source's would carry
+probability over the border of the raster, finer ones are taken.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,12 @@ from wisar_planner.pdm.warp_kernels import split_cells
 
 MAX_CELLS = 50_000_000
 """Largest raster that is read or made; it bounds the memory of a load to about 2 GB."""
+
+_MOST_LEAK = 0.01
+"""Probability smeared over the border of the raster that is not worth a word."""
+
+_FINEST_CELLS = 4_000_000
+"""Cells up to which finer ones are made to keep the probability within the raster's border."""
 
 _COLOURS = (
     ColorInterp.red,
@@ -59,8 +67,9 @@ def load_geotiff(
     band : int
         Which band holds the map, from 1.
     cell : float, optional
-        Side of the local cells in metres; the raster's own by default (the square root of the
-        mean ground area of its cells).
+        Side of the local cells in metres. By default the raster's own (the square root of the
+        mean ground area of its cells) or, where that would smear the probability over the
+        raster's border, the half of it, a quarter and so on.
     origin : GeoOrigin, optional
         Where to measure local metres from; the centre of the raster by default.
 
@@ -68,7 +77,8 @@ def load_geotiff(
     -------
     LoadedMap
         A `RasterMap` whose mass is 1, and the footprint of the raster as its area. Local cells
-        that the border of the footprint cuts hold a little mass beyond it.
+        that the border of the footprint cuts hold a little mass beyond it; a note says so where
+        it is more than a hundredth.
 
     Raises
     ------
@@ -96,24 +106,76 @@ def load_geotiff(
             f"{path}: reaches {reach / 1000:.0f} km from its origin, over "
             f"{MAX_RADIUS / 1000:.0f} km; crop it to the search region (gdalwarp -te)"
         )
-    # Cells aligned with the raster's own about its centre, so that a raster that is hardly
-    # turned is hardly smeared.
-    own_cell = math.sqrt(footprint.area / values.size)
-    side = own_cell if cell is None else positive(cell, "cell")
-    grid = _aligned_grid(footprint, side, (columns % 2 / 2, rows % 2 / 2), path)
+    peak = float(values.max())
+    values /= peak  # so that no sum of finite values overflows
+    share = math.fsum(values.sum(axis=1))
+    if abs(peak * share - 1.0) > 1e-6:
+        total = f"{peak * share:.6g}" if math.isfinite(peak * share) else "more than 1e308"
+        notes.append(f"values sum to {total}: divided by it, so that they sum to 1")
+    values /= share
 
-    total = math.fsum(values.sum(axis=1))
-    if abs(total - 1.0) > 1e-6:
-        notes.append(f"values sum to {total:.6g}: divided by it, so that they sum to 1")
-    probability = _warp(values / total, crs, transform, frame, grid)
+    own_cell = math.sqrt(footprint.area / values.size)
+
+    def warped(parts: int, side: float) -> RasterMap:
+        # Cells aligned with the raster's own about its centre, so that a raster that is hardly
+        # turned is hardly smeared.
+        phase = (columns * parts % 2 / 2, rows * parts % 2 / 2)
+        grid = _aligned_grid(footprint, side, phase, path)
+        return RasterMap(_warp(values, crs, transform, frame, grid), grid)
+
+    if cell is None:
+        pdm, inside = _fine_enough(warped, own_cell, footprint)
+    else:
+        pdm = warped(1, positive(cell, "cell"))
+        inside = pdm.integrate(footprint)
+    if inside < 1.0 - _MOST_LEAK:
+        notes.append(
+            f"{inside:.3f} of the probability lies in the raster's footprint, the rest was smeared "
+            "over its border: choose smaller cells"
+        )
+    side = pdm.grid.cell
     notes.append(f"{_name(crs)} warped to local cells of {side:.4g} m")
     return LoadedMap(
-        RasterMap(probability, grid),
+        pdm,
         shapely.simplify(footprint, side / 100.0),
         origin,
         str(path),
         tuple(notes),
     )
+
+
+def _fine_enough(
+    warped: Callable[[int, float], RasterMap], own_cell: float, footprint: Polygon
+) -> tuple[RasterMap, float]:
+    """Warp to the coarsest cells that keep the probability within the border of the raster.
+
+    Parameters
+    ----------
+    warped : callable
+        Warps to cells of so many parts to a side of the raster's own, and so many metres.
+    own_cell : float
+        Side of the raster's own cells, m.
+    footprint : Polygon
+        The raster's outline, m.
+
+    Returns
+    -------
+    pdm : RasterMap
+        The map.
+    inside : float
+        The probability that it has in the footprint.
+    """
+    parts = 1
+    while True:
+        pdm = warped(parts, own_cell / parts)
+        inside = pdm.integrate(footprint)
+        # Cells of half the side smear half as much over the border.
+        excess = (1.0 - inside) / (_MOST_LEAK / 2.0)
+        room = _FINEST_CELLS / (pdm.grid.rows * pdm.grid.columns)
+        if excess <= 1.0 or room < 4.0:
+            return pdm, inside
+        wanted, possible = math.ceil(math.log2(excess)), math.floor(math.log2(room) / 2.0)
+        parts *= 2 ** min(wanted, possible)
 
 
 def _read(path: Path, band: int) -> tuple[FloatArray, Any, Affine, list[str]]:
@@ -132,7 +194,8 @@ def _read(path: Path, band: int) -> tuple[FloatArray, Any, Affine, list[str]]:
         raise InvalidInput(
             f"{path}: not a readable GeoTIFF ({error}); check it with gdalinfo, export it again"
         ) from None
-    values = raw.astype(np.float64) * scale + offset
+    with np.errstate(over="ignore"):  # what overflows is infinite, and refused below
+        values = raw.astype(np.float64) * scale + offset
     missing = ~seen | np.isnan(values)
     values[missing] = 0.0
     if missing.any():
