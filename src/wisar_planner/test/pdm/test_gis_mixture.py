@@ -310,6 +310,16 @@ def changed(*keys, to):
             ),
             "Polygon with role None",
         ),
+        (
+            changed("features", 0, "geometry", "coordinates", to=[10**400, 56]),
+            r"coordinates is \[1000+\.\.\., which is no \[longitude",
+        ),
+        (
+            changed("features", 1, "properties", "sigma_m", to=10**400),
+            r"sigma_m is 10+\.\.\.; give",
+        ),
+        (changed("features", 1, "properties", "sigma_m", to=1e200), "covariances must be finite"),
+        (changed("features", 1, "properties", "weight", to=-(10**400)), r"weight is -10+\.\.\."),
         ({**GOOD, "origin": [0]}, r"origin must be \[longitude, latitude\]"),
     ],
 )
@@ -362,6 +372,9 @@ def test_a_yaml_mixture_in_local_metres(tmp_path):
         load_map(path, origin=GeoOrigin(0.0, 0.0))
 
 
+ENDLESS = []
+ENDLESS.append(ENDLESS)
+
 YAML = {
     "origin": {"latitude": 56.78, "longitude": -4.98},
     "weights": [0.5, 0.5],
@@ -393,6 +406,12 @@ YAML = {
         ({"area": {"polygon": [[0, "a"], [1, 1], [1, 0]]}}, r"corners \[\[x, y\]"),
         ({"area": {"polygon": [[0, 0], [1, 1]]}}, r"corners \[\[x, y\]"),
         ({"area": {}}, "one of rectangle and polygon"),
+        ({"means": [[10**400, 60], [110, 90]]}, r"means\[0\]\[0\] is 10+\.\.\.; give a finite"),
+        ({"origin": {"latitude": 10**400, "longitude": 0}}, "origin.latitude is 10"),
+        ({"weights": [1e308, 1e308]}, "weights sum to inf and not to 1"),
+        ({"covariances": [[[10**400, 0], [0, 1]]] * 2}, r"covariances\[0\]\[0\]\[0\] is 10"),
+        ({"area": {"polygon": [[0, 0], [10**400, 0], [0, 1]]}}, r"corners \[\[x, y\]"),
+        ({"area": {"polygon": ENDLESS}}, r"corners \[\[x, y\]"),
     ],
 )
 def test_wrong_yaml_is_refused_by_its_field(tmp_path, changes, message):
@@ -414,3 +433,11 @@ def test_an_unknown_suffix_cannot_be_saved(tmp_path):
     mixture = GaussianMixture([1.0], [[0.0, 0.0]], [np.eye(2)])
     with pytest.raises(InvalidInput, match=r"suffix '\.kml'"):
         save_mixture(tmp_path / "map.kml", mixture, shapely.box(0, 0, 1, 1), GeoOrigin(0.0, 0.0))
+
+
+def test_a_number_too_long_to_print_is_refused(tmp_path):
+    path = tmp_path / "wrong.yaml"
+    for value in ("0x" + "f" * 5000, "-0x" + "f" * 5000, "1" * 5000):
+        path.write_text(yaml.safe_dump(YAML).replace("56.78", value))
+        with pytest.raises(InvalidInput, match=r"wrong\.yaml: "):
+            load_map(path)

@@ -20,6 +20,7 @@ from shapely.geometry.polygon import orient
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.geodesy import LocalFrame
+from wisar_planner.pdm.mixture_fields import as_float, shown
 
 Area: TypeAlias = Polygon | MultiPolygon
 
@@ -140,11 +141,11 @@ def position(value: Any, where: str) -> tuple[float, float]:
         isinstance(v, int | float) and not isinstance(v, bool) for v in value
     )
     if not numbers or len(value) not in (2, 3):
-        raise InvalidInput(f"{where} must be [longitude, latitude] in degrees, not {value!r}")
-    longitude, latitude = float(value[0]), float(value[1])
+        raise InvalidInput(f"{where} must be [longitude, latitude] in degrees, not {shown(value)}")
+    longitude, latitude = as_float(value[0]), as_float(value[1])
     if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
         raise InvalidInput(
-            f"{where} is {value!r}, which is no [longitude, latitude] in degrees; "
+            f"{where} is {shown(value)}, which is no [longitude, latitude] in degrees; "
             "check the order, and that the file is in WGS84 and not in metres"
         )
     return latitude, longitude

@@ -21,7 +21,10 @@ RASTER_SUFFIXES = (".tif", ".tiff")
 GEOJSON_SUFFIXES = (".geojson", ".json")
 YAML_SUFFIXES = (".yaml", ".yml")
 
-_GEOJSON_HINT = "check the order, origin is [longitude, latitude]; without it the middle is taken"
+_GEOJSON_HINT = (
+    "origin is [longitude, latitude], and so is every position: check their order, and that all "
+    "are of one search"
+)
 _YAML_HINT = "means are metres east and north of the origin, not coordinates of a grid such as UTM"
 
 _NO_PROBABILITY = 1e-9

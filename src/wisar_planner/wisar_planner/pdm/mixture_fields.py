@@ -24,25 +24,32 @@ def number(value: Any, where: str) -> float:
         If it is missing, of another type, NaN or infinite.
     """
     # A bool is an int to Python, and a quoted number a mistake worth naming.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        what = "is missing" if value is None else f"is {value!r}"
-        raise InvalidInput(f"{where} {what}; give a finite number")
-    return float(value)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        result = as_float(value)
+        if math.isfinite(result):
+            return result
+    raise InvalidInput(f"{where} {_what(value)}; give a finite number")
+
+
+def as_float(value: int | float) -> float:
+    """Return a number as a float; infinity for an integer that is too large for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def numbers(value: Any, count: int, where: str) -> list[float]:
     """Read a list of `count` finite numbers."""
     if not isinstance(value, list) or len(value) != count:
-        what = "is missing" if value is None else f"is {value!r}"
-        raise InvalidInput(f"{where} {what}; give a list of {count} numbers")
+        raise InvalidInput(f"{where} {_what(value)}; give a list of {count} numbers")
     return [number(entry, f"{where}[{i}]") for i, entry in enumerate(value)]
 
 
 def matrix(value: Any, where: str) -> list[list[float]]:
     """Read a 2 x 2 matrix, given as two rows."""
     if not isinstance(value, list) or len(value) != 2:
-        what = "is missing" if value is None else f"is {value!r}"
-        raise InvalidInput(f"{where} {what}; give [[xx, xy], [xy, yy]] in square metres")
+        raise InvalidInput(f"{where} {_what(value)}; give [[xx, xy], [xy, yy]] in square metres")
     return [numbers(row, 2, f"{where}[{i}]") for i, row in enumerate(value)]
 
 
@@ -53,7 +60,7 @@ def build_mixture(
     where: str,
 ) -> GaussianMixture:
     """Make the mixture, with the file's name in front of what it refuses."""
-    total = math.fsum(weights)
+    total = sum(weights)  # infinite where it overflows, and so refused
     if weights and total > 0.0 and abs(total - 1.0) > 1e-6:
         # Not rescaled in silence: the usual cause is a component that was forgotten.
         raise InvalidInput(
@@ -71,3 +78,16 @@ def default_area(mixture: GaussianMixture) -> Polygon:
     reach = DEFAULT_AREA_SIGMAS * mixture.covariances.diagonal(axis1=1, axis2=2) ** 0.5
     low, high = (mixture.means - reach).min(axis=0), (mixture.means + reach).max(axis=0)
     return box(*low, *high)
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message shows it, in one line's length."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number of thousands of digits"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _what(value: Any) -> str:
+    return "is missing" if value is None else f"is {shown(value)}"

@@ -145,10 +145,10 @@ def _covariance(properties: dict[str, Any], where: str) -> list[list[float]]:
     if given == ["covariance_m2"]:
         return matrix(properties["covariance_m2"], f"{where}.covariance_m2")
     if given == ["sigma_m"]:
-        variance = _length(properties, "sigma_m", where) ** 2
+        variance = _square(properties, "sigma_m", where)
         return [[variance, 0.0], [0.0, variance]]
-    major = _length(properties, "semi_major_m", where) ** 2
-    minor = _length(properties, "semi_minor_m", where) ** 2
+    major = _square(properties, "semi_major_m", where)
+    minor = _square(properties, "semi_minor_m", where)
     bearing = math.radians(number(properties.get("bearing_deg"), f"{where}.bearing_deg"))
     sin, cos = math.sin(bearing), math.cos(bearing)
     xy = (major - minor) * sin * cos
@@ -158,11 +158,12 @@ def _covariance(properties: dict[str, Any], where: str) -> list[list[float]]:
     ]
 
 
-def _length(properties: dict[str, Any], name: str, where: str) -> float:
+def _square(properties: dict[str, Any], name: str, where: str) -> float:
+    """Read a length and return its square; infinite, and so refused later, if that overflows."""
     value = number(properties.get(name), f"{where}.{name}")
     if value <= 0.0:
         raise InvalidInput(f"{where}.{name} is {value:g}; give a length above 0 in metres")
-    return value
+    return value * value
 
 
 def _origin(document: dict[str, Any], latitudes: Any, longitudes: Any, where: str) -> GeoOrigin:

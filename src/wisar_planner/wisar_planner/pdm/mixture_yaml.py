@@ -141,7 +141,7 @@ def _area(value: Any, where: str) -> Area:
 def _polygon(value: Any, where: str) -> Area:
     """Read corners, rings or polygons: the depth of the nesting tells which."""
     depth, inner = 0, value
-    while isinstance(inner, list) and inner:
+    while isinstance(inner, list) and inner and depth <= 4:  # an alias may nest without end
         depth, inner = depth + 1, inner[0]
     geometries = {
         2: {"type": "Polygon", "coordinates": [value]},
@@ -153,7 +153,9 @@ def _polygon(value: Any, where: str) -> Area:
     try:
         polygon = shape(geometries[depth])
         finite = bool(np.isfinite(shapely.get_coordinates(polygon)).all())
-    except (TypeError, ValueError, IndexError, shapely.errors.ShapelyError) as error:
+    except (
+        TypeError, ValueError, OverflowError, IndexError, shapely.errors.ShapelyError
+    ) as error:  # fmt: skip
         raise InvalidInput(f"{where} must be corners [[x, y], ...] in metres ({error})") from None
     if not finite:
         raise InvalidInput(f"{where} must have finite corners")
