@@ -11,7 +11,8 @@ from rclpy.node import Node
 from wisar_msgs.msg import ProbabilityMap, SearchPlan, SearchProgress
 from wisar_planner.errors import InvalidInput
 from wisar_planner.nodes import conversions, parameters
-from wisar_planner.nodes.conversions import LocatedMap, Plan
+from wisar_planner.nodes.conversions import Plan
+from wisar_planner.nodes.latest_map import LatestMap
 from wisar_planner.nodes.qos import LATCHED, STREAM
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.search import SearchProblem
@@ -42,7 +43,7 @@ class SimDrone(Node):
             "How p_t is computed; cubature is the paper's",
             choices=tuple(METHODS),
         )
-        self._map: LocatedMap | None = None
+        self._maps = LatestMap(self)
         self._waiting: Plan | None = None  # until its map is here
         self._flight: tuple[HeadingDrone, Plan] | None = None
         self._pose_publisher = self.create_publisher(PoseStamped, "pose", STREAM)
@@ -55,14 +56,17 @@ class SimDrone(Node):
     def _retime(self) -> None:
         rate = self.get_parameter("tick_rate").value * self.get_parameter("speed_up").value
         self._timer.timer_period_ns = round(1e9 / rate)
+        # Without it the period under way, which may be minutes, runs to its end first.
+        self._timer.reset()
 
     def _on_map(self, message: ProbabilityMap) -> None:
         try:
-            self._map = conversions.map_from_msg(message)
+            taken = self._maps.take(message)
         except InvalidInput as error:
             self.get_logger().error(f"map refused, the last good map stays: {error}")
             return
-        self._take_off()
+        if taken is not None:
+            self._take_off()
 
     def _on_plan(self, message: SearchPlan) -> None:
         try:
@@ -70,11 +74,10 @@ class SimDrone(Node):
         except InvalidInput as error:
             self.get_logger().error(f"plan refused, the flight under way goes on: {error}")
             return
-        if self._map is None or self._waiting.map_id != self._map.map_id:
+        located = self._maps.current
+        if located is None or self._waiting.map_id != located.map_id:
             # Either may come first: the middleware keeps no order between topics.
-            current = (
-                "none has arrived" if self._map is None else f"the last is {self._map.map_id!r}"
-            )
+            current = "none has arrived" if located is None else f"the last is {located.map_id!r}"
             self.get_logger().warning(
                 f"plan of map {self._waiting.map_id!r} waits for that map, {current}"
             )
@@ -82,7 +85,7 @@ class SimDrone(Node):
 
     def _take_off(self) -> None:
         """Fly the waiting plan if its map is here."""
-        plan, located = self._waiting, self._map
+        plan, located = self._waiting, self._maps.current
         if plan is None or located is None or plan.map_id != located.map_id:
             return
         self._waiting = None
