@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 import time
 
 import pytest
@@ -10,9 +11,15 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 
 from wisar_msgs.action import PlanSearch
-from wisar_msgs.msg import ProbabilityMap
+from wisar_msgs.msg import ProbabilityMap, SearchPlan
 from wisar_planner.nodes.qos import LATCHED
 from wisar_planner.planners import planner_names
+
+
+def client_of(suite) -> ActionClient:
+    client = ActionClient(suite.operator.node, PlanSearch, "plan_search")
+    suite.wait(client.server_is_ready, "the planner's action")
+    return client
 
 
 class Asker:
@@ -20,8 +27,7 @@ class Asker:
 
     def __init__(self, suite) -> None:
         self._suite = suite
-        self._client = ActionClient(suite.operator.node, PlanSearch, "plan_search")
-        suite.wait(self._client.server_is_ready, "the planner's action")
+        self._client = client_of(suite)
         self.feedback: list[PlanSearch.Feedback] = []
         self.handle = None
         self._result = None
@@ -47,6 +53,9 @@ class Asker:
         """Send a goal and return its result."""
         self.send(**goal)
         return self.result()
+
+    def done(self) -> bool:
+        return self._result.done()
 
     def result(self):
         self._suite.wait(self._result.done, "the goal's result")
@@ -124,14 +133,126 @@ def test_a_new_map_ends_planning_on_the_old_one(suite, mixture_file) -> None:
     asker = Asker(suite)
     asker.send(planner="lookahead", time_budget=60.0)
     suite.wait(lambda: asker.feedback, "feedback")
+    publish_newer_map(suite)
+    result = asker.result()
+    assert result.error_code == result.MAP_CHANGED
+    suite.wait(lambda: suite.operator.plan.map_id == "newer", "the plan of the new map")
+
+
+def publish_newer_map(suite) -> None:
     publisher = suite.operator.node.create_publisher(ProbabilityMap, "pdm", LATCHED)
     suite.wait(lambda: publisher.get_subscription_count() >= 2, "the planner's subscription")
     newer = copy.deepcopy(suite.operator.map)
     newer.id, newer.header.stamp.sec = "newer", newer.header.stamp.sec + 1
     publisher.publish(newer)
-    result = asker.result()
-    assert result.error_code == result.MAP_CHANGED
+
+
+def test_waiting_goals_leave_the_node_free_to_answer(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner("greedy")
+    suite.wait_for_plan()
+    goals = [Asker(suite) for _ in range(6)]
+    for goal in goals:
+        goal.send(planner="lookahead", time_budget=60.0)
+    suite.wait(lambda: goals[0].feedback, "feedback of the first goal")
+    began = time.monotonic()
+    assert suite.set_parameter("swath_radius", 11.0).successful
+    goals[-1].handle.cancel_goal_async()
+    result = goals[-1].result()
+    assert (result.error_code, result.error_text) == (result.CANCELED, "cancelled before planning")
+    assert not goals[1].feedback  # they wait for their turn
+    publish_newer_map(suite)
+    for goal in goals[:-1]:
+        result = goal.result()
+        assert result.error_code == result.MAP_CHANGED
+    assert time.monotonic() - began < 20.0  # of minutes
     suite.wait(lambda: suite.operator.plan.map_id == "newer", "the plan of the new map")
+
+
+def test_goals_are_planned_in_the_order_in_which_they_came(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner("greedy")
+    suite.wait_for_plan()
+    plans = follow_plans(suite)
+    goals = [Asker(suite) for _ in range(5)]
+    for number, goal in enumerate(goals):
+        goal.send(planner="lookahead", time_budget=0.5, budget=500.0 + number)
+    assert [goal.result().error_code for goal in goals] == [0] * 5
+    suite.wait(lambda: plans and plans[-1].budget == 504.0, "the last plan")
+    assert [p.budget for p in plans if p.budget < 1000.0] == [500.0, 501.0, 502.0, 503.0, 504.0]
+
+
+PATIENT = {"planner": "lookahead", "lookahead.time_budget_s": 4.0}
+"""Parameters with which an automatic plan takes long enough to be disturbed."""
+
+
+def follow_plans(suite) -> list[SearchPlan]:
+    plans: list[SearchPlan] = []
+    suite.operator.node.create_subscription(SearchPlan, "plan", plans.append, LATCHED)
+    return plans
+
+
+def start_patient_planner(suite, mixture_file) -> list[SearchPlan]:
+    """Return the plans that follow once the automatic one is under way."""
+    plans = follow_plans(suite)
+    suite.start_map(mixture_file)
+    suite.wait(lambda: suite.operator.map, "the map")
+    suite.start_planner(**PATIENT)
+    suite.wait(lambda: "map '" in suite.log("planner"), "the planner's map")
+    return plans
+
+
+def test_a_refused_goal_leaves_the_plan_under_way_alone(suite, mixture_file) -> None:
+    plans = start_patient_planner(suite, mixture_file)
+    asker = Asker(suite)
+    result = asker.ask(planner="gredy")
+    assert result.error_code == result.UNKNOWN_PLANNER
+    assert not plans, "the goal came too late to disturb anything"
+    suite.wait(lambda: plans, "the automatic plan")
+    assert plans[0].planning_time > 3.0
+
+
+def test_a_goal_that_ends_without_a_plan_gives_the_automatic_one_back(suite, mixture_file) -> None:
+    plans = start_patient_planner(suite, mixture_file)
+    asker = Asker(suite)
+    asker.send(planner="lookahead", time_budget=60.0)
+    suite.wait(lambda: asker.feedback, "feedback")
+    asker.handle.cancel_goal_async()
+    result = asker.result()
+    assert result.error_code == result.CANCELED
+    assert not plans  # neither what was cut off by the goal, nor the goal's
+    suite.wait(lambda: plans, "the automatic plan")
+    time.sleep(0.5)
+    assert [p.planning_time > 3.0 for p in plans] == [True]
+
+
+def test_a_changed_parameter_publishes_no_half_plan_of_the_old_values(suite, mixture_file) -> None:
+    plans = start_patient_planner(suite, mixture_file)
+    assert suite.set_parameter("max_distance", 600.0).successful
+    assert not plans
+    suite.wait(lambda: plans, "the plan of the new budget")
+    assert plans[0].budget == 600.0
+
+
+def test_a_goal_learns_that_the_planner_is_told_to_end(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    process = suite.start_planner("greedy")
+    suite.wait_for_plan()
+    good = suite.operator.plan
+    goals = [Asker(suite) for _ in range(2)]
+    for goal in goals:
+        goal.send(planner="lookahead", time_budget=60.0)
+    suite.wait(lambda: goals[0].feedback, "feedback")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30.0) == 0
+    time.sleep(0.5)
+    for goal in goals:
+        assert goal.done()
+        result = goal.result()
+        assert result.error_code == result.PLANNING_FAILED
+        assert "told to end" in result.error_text
+    assert "Traceback" not in suite.log("planner")
+    assert suite.operator.plan == good
 
 
 @pytest.mark.parametrize("planner", planner_names())

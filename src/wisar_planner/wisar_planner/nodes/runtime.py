@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol, cast
@@ -39,7 +40,10 @@ class Closeable(Protocol):
     """A node with threads or sockets of its own."""
 
     def close(self) -> None:
-        """Stop them; called once, before the node is destroyed."""
+        """Stop them; called once, while callbacks still run, so that goals of actions can end.
+
+        What callbacks use is destroyed by `destroy_node`, after they have ended.
+        """
 
 
 class _Pool(ThreadPoolExecutor):
@@ -89,6 +93,20 @@ class _Executor(MultiThreadedExecutor):
             self._is_shutdown = True
             if self._guard is not None:  # a late failure, after `shutdown`
                 self._guard.trigger()
+
+    def finish_tasks(self, timeout_s: float) -> None:
+        """Wait, while others spin, until what was begun beside callbacks has ended.
+
+        Goals of actions and the sending of their results are such tasks; rclpy's own account of
+        work leaves them out.
+        """
+        deadline = time.monotonic() + timeout_s
+        while self._has_tasks() and not self._is_shutdown and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+    def _has_tasks(self) -> bool:
+        with self._tasks_lock:
+            return any(entity is None and not task.done() for task, entity, _ in self._tasks)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Wait for callbacks at work, after `stop` and `spin`; return whether they ended."""
@@ -157,6 +175,7 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(node, "close"):
         cast(Closeable, node).close()
+    executor.finish_tasks(_PATIENCE_S)
     # The pool of threads must not end before what hands it work.
     executor.stop()
     spinning.join(_PATIENCE_S)
