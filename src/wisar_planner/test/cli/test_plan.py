@@ -229,6 +229,104 @@ def test_an_area_file_bounds_the_search(mixture_file, tmp_path, monkeypatch):
     assert areas[0].area == pytest.approx(4800.0, rel=1e-6)
 
 
+def test_a_start_outside_is_answered_in_degrees(mixture_file, capsys):
+    arguments = (mixture_file, *DRONE, "--planner", "sector")
+    error = refused(capsys, *arguments, "--start", "56.8,-5.01")
+    frame = LocalFrame(ORIGIN)
+    (low, high) = frame.to_geodetic([(0.0, 0.0), (150.0, 150.0)])
+    assert "56.8,-5.01 lies outside the search area" in error
+    assert f"from {low[0]:.5f},{low[1]:.5f} to {high[0]:.5f},{high[1]:.5f}" in error
+    assert "move it inside" in error
+    ((latitude, longitude),) = frame.to_geodetic([(70.0, 70.0)])
+    error = refused(capsys, *arguments, f"--start={longitude:.6f},{latitude:.6f}")
+    assert f"the other way round it lies inside: --start={latitude:.6f}" in error
+
+
+def test_a_start_with_a_longitude_for_its_latitude_is_understood(tmp_path, capsys):
+    path, origin = tmp_path / "map.yaml", GeoOrigin(37.5, -122.3)
+    mixture = GaussianMixture([1.0], [[40.0, 60.0]], [500.0 * np.eye(2)])
+    save_mixture(path, mixture, shapely.box(0, 0, 150, 150), origin)
+    error = refused(capsys, path, *DRONE, "--planner", "sector", "--start=-122.2995,37.5005")
+    assert "latitude must lie between" in error
+    assert "the other way round it lies inside: --start=37.5005,-122.2995" in error
+
+
+def test_an_area_away_from_the_components_is_said_with_places(tmp_path, capsys):
+    path = tmp_path / "map.yaml"
+    mixture = GaussianMixture([1.0], [[40.0, 60.0]], [500.0 * np.eye(2)])
+    save_mixture(path, mixture, shapely.box(20_000, 0, 20_150, 150), ORIGIN)
+    error = refused(capsys, path, *DRONE, "--planner", "sector")
+    assert "map.yaml: its search area lies around 56.7" in error
+    assert "but its components around 56.770" in error
+
+
+def test_a_step_longer_than_the_budget_is_refused(mixture_file, capsys, no_planning):
+    long = ("--budget", "20", "--swath-radius", "2.5", "--step", "21")
+    error = refused(capsys, mixture_file, *long, "--planner", "greedy")
+    assert "--step: 21 m is longer than the --budget of 20 m" in error
+    wide = ("--budget", "20", "--swath-radius", "11")
+    error = refused(capsys, mixture_file, *wide, "--planner", "greedy")
+    assert "by default twice --swath-radius: 22 m is longer" in error
+
+
+def planned(monkeypatch, waypoints):
+    """Let the planner answer with these waypoints."""
+    path = SearchPath(np.array(waypoints, dtype=float), 2.5, "fixed")
+    monkeypatch.setattr(module, "_plan", lambda planner, problem, args: path)
+
+
+def summary(capsys, *arguments):
+    assert main(["plan", *map(str, arguments), *DRONE, "--planner", "sector"]) == 0
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_an_efficiency_above_one_is_explained(tmp_path, mixture_file, capsys):
+    note = "count what the swath sees beyond the border"
+    assert note not in summary(capsys, mixture_file)
+    path = tmp_path / "small.yaml"
+    mixture = GaussianMixture([1.0], [[40.0, 60.0]], [500.0 * np.eye(2)])
+    save_mixture(path, mixture, shapely.box(30, 50, 45, 65), ORIGIN)
+    assert note in summary(capsys, path)
+
+
+def test_what_of_the_path_lies_outside_is_said(mixture_file, capsys, monkeypatch):
+    planned(monkeypatch, [(10, 10), (10, -20), (40, -20), (40, 20)])
+    assert "70 m of the path lie outside the area" in summary(capsys, mixture_file)
+    planned(monkeypatch, [(10, 10), (10, -0.0001), (11, 10)])
+    assert "less than 0.1 m of the path lie outside the area" in summary(capsys, mixture_file)
+    planned(monkeypatch, [(0, 0), (150, -1e-9), (150, 150)])
+    assert "outside" not in summary(capsys, mixture_file)
+    planned(monkeypatch, [(0, 0)])
+    assert "outside" not in summary(capsys, mixture_file)
+
+
+def test_parts_that_a_path_does_not_visit_are_named(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "parts.yaml"
+    mixture = GaussianMixture(
+        [0.6, 0.3, 0.1],
+        [[50.0, 50.0], [350.0, 50.0], [350.0, 350.0]],
+        [200.0 * np.eye(2)] * 3,
+    )
+    parts = [shapely.box(x, y, x + 100, y + 100) for x, y in ((0, 0), (300, 0), (300, 300))]
+    save_mixture(path, mixture, shapely.MultiPolygon(parts), ORIGIN)
+    planned(monkeypatch, [(50, 50), (80, 50)])
+    text = summary(capsys, path)
+    places = LocalFrame(ORIGIN).to_geodetic([(350, 50), (350, 350)])
+    for (latitude, longitude), probability in zip(places, ("0.29", "0.09"), strict=True):
+        assert f"around {latitude:.5f},{longitude:.5f} and with probability {probability}" in text
+    assert "nothing of part 2 of 3" in text
+    assert text.index("part 2 of 3") < text.index("part 3 of 3")
+    assert text.count("plan it on its own") == 2
+    planned(monkeypatch, [(50, 50), (350, 50), (350, 298)])  # 2 m from the last, seen
+    assert "plan it on its own" not in summary(capsys, path)
+    small = [shapely.box(320 + 6 * i, 0, 324 + 6 * i, 100) for i in range(8)]
+    save_mixture(path, mixture, shapely.MultiPolygon([parts[0], *small]), ORIGIN)
+    planned(monkeypatch, [(50, 50), (80, 50)])
+    text = summary(capsys, path)
+    assert text.count("plan it on its own") == 5
+    assert "nor does it see anything of 3 more parts with probability 0.0" in text
+
+
 class Stubborn:
     """A planner that thinks until it is told to stop."""
 
@@ -252,6 +350,8 @@ def test_the_time_budget_and_the_first_interrupt_end_the_planning(
     slow = Stubborn(lambda i: time.sleep(0.001))
     monkeypatch.setattr(module, "_planner", lambda args: slow)
     assert main([*arguments, "--time-budget", "0.05"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "the --time-budget of 0.05 s was over with 0 m of the path's 300 m planned" in out
     interrupted = Stubborn(lambda i: signal.raise_signal(signal.SIGINT) if i == 3 else None)
     monkeypatch.setattr(module, "_planner", lambda args: interrupted)
     before = signal.getsignal(signal.SIGINT)

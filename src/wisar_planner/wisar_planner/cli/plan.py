@@ -8,15 +8,17 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from wisar_planner.errors import FloatArray
+    from wisar_planner.pdm.geodesy import LocalFrame
     from wisar_planner.pdm.gis import LoadedMap
     from wisar_planner.planners.base import Planner, PlanProgress
-    from wisar_planner.search import SearchPath, SearchProblem
+    from wisar_planner.search import SearchArea, SearchPath, SearchProblem
 
 _EXAMPLES = """\
 examples:
@@ -116,8 +118,10 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plan, write the files and print the summary."""
     from wisar_planner.cli.plan_files import check_names, make_places, write_each
+    from wisar_planner.cli.plan_notes import notes_on_path
     from wisar_planner.errors import InvalidInput, positive
     from wisar_planner.pdm.gis import load_map
+    from wisar_planner.search.bound import upper_bound
 
     planner = _planner(args)
     outputs = _outputs(args)
@@ -134,7 +138,10 @@ def run(args: argparse.Namespace) -> int:
     path = _plan(planner, asked, args)
     seconds = time.perf_counter() - began
     files, failures = write_each(_writers(args, loaded, problem, path))
-    _print_summary(args, problem, path, seconds, files, notes)
+    scores = path.probability_efficiency(problem), upper_bound(problem)
+    notes += _notes_on_time(args, problem, path, seconds)
+    notes += notes_on_path(problem, path, loaded.frame, scores)
+    _print_summary(args, problem, path, scores, seconds, files, notes)
     if failures:
         raise InvalidInput(f"{failures}; make room or choose another place, and plan again")
     return 0
@@ -167,31 +174,74 @@ def _outputs(args: argparse.Namespace) -> list[tuple[str, Path, tuple[str, ...]]
 
 
 def _problem(args: argparse.Namespace, loaded: LoadedMap) -> SearchProblem:
-    import numpy as np
-
     from wisar_planner.errors import InvalidInput, positive
+    from wisar_planner.pdm import GaussianMixture
     from wisar_planner.search import SearchArea, SearchProblem
 
-    if args.start is None:
-        middle = loaded.area.centroid
-        inside = middle if loaded.area.covers(middle) else loaded.area.representative_point()
-        start = np.array(inside.coords[0])
-    else:
-        try:
-            latitude, longitude = (float(part) for part in args.start.split(","))
-        except ValueError:
-            raise InvalidInput(
-                f"--start: {args.start!r} is not LAT,LON in degrees, for example 56.774,-5.001"
-            ) from None
-        (start,) = loaded.frame.to_local(latitude, longitude)
     swath_radius = positive(args.swath_radius, "--swath-radius")
+    step = 2.0 * swath_radius if args.step is None else positive(args.step, "--step")
+    budget = positive(args.budget, "--budget")
+    if step > budget:
+        what = "--step" if args.step is not None else "--step, by default twice --swath-radius"
+        raise InvalidInput(
+            f"{what}: {step:g} m is longer than the --budget of {budget:g} m, so that not one step "
+            "can be flown; give a shorter step or a larger budget"
+        )
+    area = SearchArea.from_polygon(loaded.area)
+    if isinstance(loaded.pdm, GaussianMixture) and not loaded.pdm.integrate(area.polygon) > 0.0:
+        middles = [area.polygon.centroid.coords[0], loaded.pdm.weights @ loaded.pdm.means]
+        here, there = (f"{lat:.5f},{lon:.5f}" for lat, lon in loaded.frame.to_geodetic(middles))
+        raise InvalidInput(
+            f"{args.map}: its search area lies around {here}, but its components around {there} "
+            "(LAT,LON), so that there is nothing to find; draw the area around them"
+        )
     return SearchProblem(
         pdm=loaded.pdm,
-        area=SearchArea.from_polygon(loaded.area),
-        start=start,
-        step_length=2.0 * swath_radius if args.step is None else positive(args.step, "--step"),
+        area=area,
+        start=_start(args.start, area, loaded.frame),
+        step_length=step,
         swath_radius=swath_radius,
-        max_distance=positive(args.budget, "--budget"),
+        max_distance=budget,
+    )
+
+
+def _start(text: str | None, area: SearchArea, frame: LocalFrame) -> FloatArray:
+    """Return the place of ``LAT,LON``, m, or the middle of the area."""
+    import numpy as np
+
+    from wisar_planner.errors import InvalidInput
+
+    if text is None:
+        middle = area.polygon.centroid
+        inside = middle if area.polygon.covers(middle) else area.polygon.representative_point()
+        return np.array(inside.coords[0])
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidInput(
+            f"--start: {text!r} is not LAT,LON in degrees, for example 56.774,-5.001"
+        ) from None
+
+    def inside_at(latitude: float, longitude: float) -> FloatArray | None:
+        (place,) = frame.to_local(latitude, longitude)
+        return place if area.contains(place[None, :])[0] else None
+
+    try:
+        start = inside_at(latitude, longitude)
+        why = "lies outside the search area"
+    except InvalidInput as error:
+        start, why = None, f"is no LAT,LON in degrees ({error})"
+    if start is not None:
+        return start
+    west, south, east, north = area.bounds
+    (low, high) = frame.to_geodetic([(west, south), (east, north)])
+    remedy = "move it inside"
+    with suppress(InvalidInput):
+        if inside_at(longitude, latitude) is not None:
+            remedy = f"the other way round it lies inside: --start={longitude},{latitude}"
+    raise InvalidInput(
+        f"--start: {text} {why}; the area reaches from {low[0]:.5f},{low[1]:.5f} to "
+        f"{high[0]:.5f},{high[1]:.5f} (LAT,LON); {remedy}"
     )
 
 
@@ -258,6 +308,20 @@ def _first_interrupt() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
+def _notes_on_time(
+    args: argparse.Namespace, problem: SearchProblem, path: SearchPath, seconds: float
+) -> list[str]:
+    """Say so where the time was over before the path was."""
+    # A planner that counts the seconds itself may stop a little early.
+    over = args.time_budget is not None and seconds >= 0.95 * args.time_budget
+    if not over or path.length >= problem.max_distance - problem.step_length:
+        return []
+    return [
+        f"the --time-budget of {args.time_budget:g} s was over with {path.length:,.0f} m of the "
+        f"path's {problem.max_distance:,.0f} m planned: give it more, or choose a faster planner"
+    ]
+
+
 def _writers(
     args: argparse.Namespace, loaded: LoadedMap, problem: SearchProblem, path: SearchPath
 ) -> list[tuple[Path, Callable[[Path], None]]]:
@@ -283,6 +347,7 @@ def _print_summary(
     args: argparse.Namespace,
     problem: SearchProblem,
     path: SearchPath,
+    scores: tuple[float, float],
     seconds: float,
     files: list[Path],
     notes: list[str],
@@ -290,9 +355,7 @@ def _print_summary(
     from rich.console import Console
     from rich.table import Table
 
-    from wisar_planner.search.bound import upper_bound
-
-    efficiency, bound = path.probability_efficiency(problem), upper_bound(problem)
+    efficiency, bound = scores
     minutes = path.length / args.speed / 60.0
     rows = [
         ("probability seen", f"{path.seen_probability(problem.pdm):.4f}"),
