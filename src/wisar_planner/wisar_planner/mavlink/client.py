@@ -50,6 +50,7 @@ _FRESH_S = 3.0  # a heartbeat older than this proves nothing
 # PX4 checks a new mission for about a second, and denies its start until then.
 _MISSION_CHECKED_WITHIN_S = 5.0
 _START_AGAIN_AFTER_S = 0.25
+_PUT_BACK_WITHIN_S = 3.0
 _log = logging.getLogger(__name__)
 
 _E = TypeVar("_E", bound=Exchange)
@@ -188,6 +189,7 @@ class MissionClient:
         self._urgent: list[str] = []  # requests that waited for nothing, in words, oldest first
         self._uploading = threading.Lock()
         self._starting = False
+        self._doubtful = False  # whether the last upload left a mission that nobody has verified
         self._uploaded_at = -math.inf
         self._closing = False
         self._wake_read, self._wake_write = os.pipe()
@@ -301,13 +303,17 @@ class MissionClient:
                 objection=self._against_uploading,
             )
             self._exchange(transfer, should_cancel)
-            if transfer.result is None:
-                code = UploadCode.NO_LINK if self._failure else UploadCode.CANCELLED
-                return UploadResult(
-                    code, self._failure or "the connection was closed", items_total=total
+            transfer.abandon(time.monotonic())
+            result = transfer.result
+            assert result is not None
+            if self._failure:
+                result = replace(
+                    result, code=UploadCode.NO_LINK, error=f"{self._failure}; {result.error}"
                 )
+            if MissionKind.MISSION in kinds and not result.old_counts:
+                self._doubtful = not result.verified
             self._uploaded_at = time.monotonic()
-            return transfer.result
+            return result
         finally:
             self._uploading.release()
 
@@ -378,7 +384,7 @@ class MissionClient:
         ------
         LinkError
             If the vehicle is not armed, refuses or does not answer within three seconds, or an
-            upload is in progress.
+            upload is in progress, or the last one left a mission that was not verified.
         """
         words = "start of the mission"
         state = self._require_vehicle()
@@ -485,6 +491,11 @@ class MissionClient:
         vehicle = self._session.vehicle
         if self._uploading.locked():
             return "an upload is in progress; wait for its end"
+        if self._doubtful:
+            return (
+                "the last upload did not end verified, and the vehicle may hold anything; upload "
+                "again first"
+            )
         if vehicle is None or now - vehicle.heard_at > _FRESH_S:
             return f"no heartbeat for {_FRESH_S:g} s; check the link, then start again"
         return "" if vehicle.armed else "the vehicle is no longer armed; start again"
@@ -591,7 +602,10 @@ class MissionClient:
     # -- life ----------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """End the thread and close the connection; a waiting call returns as cancelled."""
+        """End the thread and close the connection; a waiting call returns as cancelled.
+
+        An old mission that has to be put back then has three seconds for it.
+        """
         if self._closing:
             return
         self._closing = True
@@ -648,9 +662,12 @@ class MissionClient:
 
     def _run(self) -> None:
         try:
-            self._serve()
+            self._serve(lambda: self._closing)
             for slot in self._lanes:
                 self._send(self._session.cancel(time.monotonic(), slot))
+            # An old mission that is being put back is put back before the connection closes.
+            ends = time.monotonic() + _PUT_BACK_WITHIN_S
+            self._serve(lambda: self._is_idle() or time.monotonic() >= ends)
         except Exception as error:
             _log.exception("the MAVLink connection ended because of an error of this program")
             self._failure = (
@@ -669,9 +686,13 @@ class MissionClient:
         with self._heard:
             self._heard.notify_all()
 
-    def _serve(self) -> None:
+    def _is_idle(self) -> bool:
+        transfer = self._session.exchange
+        return transfer is None or transfer.done
+
+    def _serve(self, is_over: Callable[[], bool]) -> None:
         session, connection = self._session, self._connection
-        while not self._closing:
+        while not is_over():
             now = time.monotonic()
             connection.open()
             for lane in self._lanes.values():
@@ -689,7 +710,7 @@ class MissionClient:
         if lane.job is not None and lane.job.is_cancelled():
             self._send(self._session.cancel(now, lane.slot))
             self._finish(lane)
-        if lane.job is None and lane.waiting:
+        if lane.job is None and lane.waiting and not self._closing:
             lane.job = lane.waiting.popleft()
             self._send(self._session.begin(lane.job.exchange, now, lane.slot))
 

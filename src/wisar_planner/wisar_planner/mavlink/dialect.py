@@ -31,6 +31,9 @@ class Dialect:
         Coarseness in metres with which altitudes are kept.
     asks_again_after_s
         How long a request that is repeated may take to arrive, on a link that loses one.
+    replaces_in_place
+        Whether a mission is replaced item by item as they arrive, and cut to the new length at
+        the start: an upload that ends early leaves a mixture of the old and the new mission.
     start_goes_on
         Whether a mission started in flight goes on with its current item instead of the first.
     gives_up_after_s
@@ -45,6 +48,7 @@ class Dialect:
     rally_altitude_step: float = 1e-3
     asks_again_after_s: float = 1.0
     gives_up_after_s: float = 5.0
+    replaces_in_place: bool = False
     start_goes_on: bool = False
 
     def to_wire(self, kind: MissionKind, items: Sequence[MissionItem]) -> tuple[MissionItem, ...]:
@@ -132,6 +136,7 @@ ARDUPILOT = Dialect(
     rally_altitude_step=1.0,
     asks_again_after_s=2.5,
     gives_up_after_s=8.0,
+    replaces_in_place=True,
     start_goes_on=True,
 )
 GENERIC = Dialect("generic", gives_up_after_s=8.0)

@@ -174,3 +174,83 @@ class Download:
         self.end = end
         self._state = _State.DONE
         self._deadline = NEVER
+
+
+class PatientDownload:
+    """Reads one list, again after a refusal that may pass.
+
+    An autopilot whose last transfer was cut reads nothing out until it gives that one up.
+
+    Parameters
+    ----------
+    make
+        Makes the next attempt.
+    """
+
+    _MOST_ATTEMPTS = 12
+    _PAUSE_S = 1.0
+
+    def __init__(self, make: Callable[[], Download]) -> None:
+        self._make = make
+        self._download = make()
+        self._attempts = 1
+        self._pause_until = NEVER
+
+    @property
+    def _pausing(self) -> bool:
+        return self._pause_until < NEVER
+
+    @property
+    def done(self) -> bool:
+        """Whether the last attempt has ended; `end` then says how."""
+        return self._download.done and not self._pausing
+
+    @property
+    def end(self) -> DownloadEnd | None:
+        """How it ended."""
+        return self._download.end
+
+    @property
+    def result(self) -> int | None:
+        """MAV_MISSION_RESULT of a refusal."""
+        return self._download.result
+
+    @property
+    def items(self) -> list[MissionItem]:
+        """What was read."""
+        return self._download.items
+
+    @property
+    def deadline(self) -> float:
+        """When `on_time` wants to be called next."""
+        return min(self._download.deadline, self._pause_until)
+
+    def start(self, now: float) -> list[Message]:
+        """Begin the first attempt."""
+        return self._download.start(now)
+
+    def on_message(self, message: Message, now: float) -> list[Message]:
+        """Pass a message to the attempt in progress."""
+        return self._download.on_message(message, now)
+
+    def on_time(self, now: float) -> list[Message]:
+        """Let time pass; begin again after a pause."""
+        if self._pausing:
+            if now < self._pause_until:
+                return []
+            self._pause_until = NEVER
+            self._attempts += 1
+            self._download = self._make()
+            return self._download.start(now)
+        out = self._download.on_time(now)
+        refused = self.end is DownloadEnd.REFUSED and is_passing(self.result or 0)
+        if refused and self._attempts < self._MOST_ATTEMPTS:
+            self._pause_until = now + self._PAUSE_S
+        return out
+
+    def cancel(self, now: float) -> list[Message]:
+        """Tell the autopilot that the rest of the list is not wanted."""
+        if self._pausing:
+            self._pause_until = NEVER
+            self._download = self._make()
+        return self._download.cancel(now)

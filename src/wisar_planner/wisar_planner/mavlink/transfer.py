@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 from wisar_planner.mavlink.codec import Message
 from wisar_planner.mavlink.command import Clear, RequestEnd
 from wisar_planner.mavlink.dialect import Dialect
-from wisar_planner.mavlink.download import Download, DownloadEnd
+from wisar_planner.mavlink.download import Download, DownloadEnd, PatientDownload
 from wisar_planner.mavlink.exchange import NEVER, Address
 from wisar_planner.mavlink.link_estimate import LinkEstimates
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
@@ -26,6 +26,12 @@ _LIST_NAMES = {
     MissionKind.FENCE: "fence",
     MissionKind.RALLY: "rally points",
 }
+
+
+_MIXTURE = (
+    "The vehicle may hold a mixture of the old and the new mission: do not fly it; upload again"
+)
+_DO_NOT_FLY = ". Do not fly it; upload again"
 
 
 def lists_of(mission: Mission, *, clear_old: bool = False) -> tuple[MissionKind, ...]:
@@ -125,6 +131,10 @@ class UploadResult:
         return self.code is UploadCode.VERIFIED
 
 
+_UNREACHABLE = frozenset({UploadCode.NO_LINK, UploadCode.REFUSED_BEFORE})
+"""After these nothing is put back: it would not arrive, or would be flown at once."""
+
+
 class _Phase(Enum):
     SENDING = "sending"
     READING = "reading back"
@@ -149,6 +159,11 @@ class ListTransfer:
         Called with (phase, items sent, items read back, attempt).
     objection
         Called before each sending of the list; words say why it must not be sent now.
+
+    Attributes
+    ----------
+    old
+        What the autopilot held before, where it has been read.
     """
 
     _MOST_ATTEMPTS = 8
@@ -173,6 +188,8 @@ class ListTransfer:
         objection: Callable[[], str] = lambda: "",
     ) -> None:
         self._objection = objection
+        self._in_place = dialect.replaces_in_place and kind is MissionKind.MISSION
+        self.old: tuple[MissionItem, ...] | None = None
         self._wanted = tuple(items)
         self._kind = kind
         self._target = target
@@ -228,6 +245,8 @@ class ListTransfer:
         self._phase = _Phase.SENDING
         self._pause_until = NEVER
         if self._wanted:
+            if self._in_place:
+                self.old_counts = False  # from the announcement on it is being overwritten
             wire = self._dialect.to_wire(self._kind, self._wanted)
             self._wire_count = len(wire)
             dialect = self._dialect
@@ -292,6 +311,8 @@ class ListTransfer:
             UploadCode.CANCELLED,
             "cancelled: the old list counts"
             if self.old_counts
+            else "cancelled"
+            if self._in_place
             else "cancelled after everything was sent: the autopilot may hold the new list, "
             "unverified",
         )
@@ -373,6 +394,9 @@ class ListTransfer:
             return []
         if self._failure is not None:
             code, error = self._failure
+            # Refused before its first item came, say: then nothing has been overwritten.
+            if self.old is not None and not self._dialect.differences(self._kind, self.old, found):
+                self.old_counts = True
             self._finish(
                 code,
                 f"{error}. The new list is not in force; the autopilot holds {len(found)} items",
@@ -395,7 +419,7 @@ class ListTransfer:
             UploadCode.DIFFERENT,
             "what the autopilot holds differs from what was sent: "
             + "; ".join(differences)
-            + ". Do not fly it; upload again",
+            + _DO_NOT_FLY,
         )
         return []
 
@@ -412,8 +436,9 @@ class ListTransfer:
 class MissionTransfer:
     """State machine that puts fence, rally points and mission on the autopilot, in this order.
 
-    The mission itself is replaced last and as a whole, so that the old one counts until fence
-    and rally points are verified.
+    The mission itself is replaced last, so that the old one counts until fence and rally points
+    are verified. An autopilot that replaces it in place is asked for the old one before: when the
+    upload ends early, the old one is put back, and proved like any other.
 
     Parameters
     ----------
@@ -441,10 +466,15 @@ class MissionTransfer:
         on_progress: Callable[[UploadProgress], None] = lambda _: None,
         objection: Callable[[], str] = lambda: "",
     ) -> None:
-        links = links or LinkEstimates()
+        self._links = links = links or LinkEstimates()
+        self._target = target
+        self._dialect = dialect
+        self._reader: PatientDownload | None = None  # of the old mission
+        self._restoring: ListTransfer | None = None
         kinds = lists_of(mission) if kinds is None else kinds
         self._on_progress = on_progress
         self._deleted = frozenset(kind for kind in kinds if not mission.of_kind(kind))
+        self._objection = objection
         self._total = sum(len(mission.of_kind(k)) for k in kinds)
         self._lists = [
             (
@@ -472,13 +502,21 @@ class MissionTransfer:
         return self.result is not None
 
     @property
+    def _list(self) -> tuple[MissionKind, ListTransfer]:
+        return self._lists[self._at]
+
+    @property
+    def _active(self) -> ListTransfer | PatientDownload:
+        return self._restoring or self._reader or self._list[1]
+
+    @property
     def deadline(self) -> float:
         """When `on_time` wants to be called next."""
-        return NEVER if self.done else self._lists[self._at][1].deadline
+        return NEVER if self.done else self._active.deadline
 
     def _progress(self, phase: str, sent: int, read: int, attempt: int) -> None:
         before = sum(t.items_sent for _, t in self._lists[: self._at])
-        name = _LIST_NAMES[self._lists[self._at][0]]
+        name = _LIST_NAMES[self._list[0]]
         self._on_progress(
             UploadProgress(f"{phase} {name}", before + sent, before + read, self._total, attempt)
         )
@@ -486,53 +524,129 @@ class MissionTransfer:
     def start(self, now: float) -> list[Message]:
         """Begin with the first list."""
         self._started_at = now
-        return self._lists[0][1].start(now) + self._go_on(now)
+        return self._begin_list(now)
+
+    def _begin_list(self, now: float) -> list[Message]:
+        kind, transfer = self._list
+        if not (self._dialect.replaces_in_place and kind is MissionKind.MISSION):
+            return transfer.start(now) + self._go_on(now)
+        self._reader = PatientDownload(
+            lambda: Download(
+                kind,
+                self._target,
+                link=self._links.asking,
+                on_progress=lambda _: self._progress("keeping a copy of the old", 0, 0, 1),
+            )
+        )
+        return self._reader.start(now)
 
     def on_message(self, message: Message, now: float) -> list[Message]:
         """Pass a message to the list in progress."""
         if self.done:
             return []
-        return self._lists[self._at][1].on_message(message, now) + self._go_on(now)
+        return self._active.on_message(message, now) + self._go_on(now)
 
     def on_time(self, now: float) -> list[Message]:
         """Let time pass."""
         if self.done:
             return []
-        return self._lists[self._at][1].on_time(now) + self._go_on(now)
+        return self._active.on_time(now) + self._go_on(now)
 
     def cancel(self, now: float) -> list[Message]:
-        """End early."""
-        if self.done:
+        """End early; what has to be put back is put back first, which no cancelling ends."""
+        if self.done or self._restoring is not None:
             return []
-        out = self._lists[self._at][1].cancel(now)
-        self._go_on(now)
-        return out
+        return self._active.cancel(now) + self._go_on(now)
+
+    def abandon(self, now: float) -> None:
+        """End at once, as nothing can be sent any more."""
+        if self.done:
+            return
+        self.cancel(now)
+        if not self.done:
+            self._conclude(UploadCode.CANCELLED, f"cancelled. {_MIXTURE}", now, old_counts=False)
 
     def _go_on(self, now: float) -> list[Message]:
-        kind, transfer = self._lists[self._at]
-        if not transfer.done:
+        if not self._active.done:
             return []
+        if self._restoring is not None:
+            return self._after_restoring(self._restoring, now)
+        kind, transfer = self._list
+        if self._reader is not None:
+            reader, self._reader = self._reader, None
+            return self._after_copying(reader, transfer, now)
+        assert transfer.code is not None
         ok = transfer.code is UploadCode.VERIFIED
         if ok and self._at + 1 < len(self._lists):
             self._at += 1
-            return self._lists[self._at][1].start(now) + self._go_on(now)
+            return self._begin_list(now)
         error = "" if ok else f"{_LIST_NAMES[kind]}: {transfer.error}"
+        mixed = transfer.old is not None and not (ok or transfer.old_counts)
+        if mixed and transfer.code in _UNREACHABLE:
+            error += f". {_MIXTURE}"
+        elif mixed:
+            return self._restore(transfer, now)
+        self._conclude(transfer.code, error, now, old_counts=self._old_counts)
+        return []
+
+    @property
+    def _old_counts(self) -> bool:
+        return all(t.old_counts for k, t in self._lists if k is MissionKind.MISSION)
+
+    def _after_copying(
+        self, reader: PatientDownload, transfer: ListTransfer, now: float
+    ) -> list[Message]:
+        """Begin to send once a copy of the old mission is here."""
+        if reader.end is DownloadEnd.COMPLETE:
+            transfer.old = self._dialect.from_wire(MissionKind.MISSION, reader.items)
+            return transfer.start(now) + self._go_on(now)
+        name = _LIST_NAMES[MissionKind.MISSION]
+        if reader.end is DownloadEnd.CANCELLED:
+            code, error = UploadCode.CANCELLED, "cancelled: the old list counts"
+        elif reader.end is DownloadEnd.REFUSED:
+            why = "" if reader.result is None else f": {mission_result(reader.result)}"
+            code, error = UploadCode.REFUSED, f"the old mission could not be read first{why}"
+        else:
+            code, error = UploadCode.NO_LINK, "the autopilot does not answer; check the link"
+        self._conclude(code, f"{name}: {error}", now, old_counts=True)
+        return []
+
+    def _restore(self, transfer: ListTransfer, now: float) -> list[Message]:
+        assert transfer.old is not None
+        self._restoring = ListTransfer(
+            transfer.old,
+            MissionKind.MISSION,
+            self._target,
+            self._dialect,
+            links=self._links,
+            on_progress=lambda *_: self._progress("putting back the old", 0, 0, 1),
+            objection=self._objection,
+        )
+        return self._restoring.start(now) + self._go_on(now)
+
+    def _after_restoring(self, restoring: ListTransfer, now: float) -> list[Message]:
+        kind, transfer = self._list
+        assert transfer.code is not None
+        put_back = restoring.code is UploadCode.VERIFIED
+        end = "The old mission was put back" if put_back else _MIXTURE
+        error = f"{_LIST_NAMES[kind]}: {transfer.error.removesuffix(_DO_NOT_FLY)}. {end}"
+        self._conclude(transfer.code, error, now, old_counts=put_back)
+        return []
+
+    def _conclude(self, code: UploadCode, error: str, now: float, *, old_counts: bool) -> None:
         verified = [k for k, t in self._lists if t.code is UploadCode.VERIFIED]
         new = [_LIST_NAMES[k] for k in verified if k not in self._deleted]
         gone = [_LIST_NAMES[k] for k in verified if k in self._deleted]
-        if not ok and new:
+        if code is not UploadCode.VERIFIED and new:
             error += f" (new already: {' and '.join(new)})"
-        notes = (f"deleted on the vehicle: {' and '.join(gone)}",) if gone else ()
-        assert transfer.code is not None
         self.result = UploadResult(
-            code=transfer.code,
+            code=code,
             error=error,
-            differences=transfer.differences,
+            differences=self._list[1].differences,
             items_sent=sum(t.items_sent for _, t in self._lists),
             items_total=self._total,
             attempts=sum(t.attempts for _, t in self._lists),
             elapsed_s=now - self._started_at,
-            old_counts=all(t.old_counts for k, t in self._lists if k is MissionKind.MISSION),
-            notes=notes,
+            old_counts=old_counts,
+            notes=(f"deleted on the vehicle: {' and '.join(gone)}",) if gone else (),
         )
-        return []

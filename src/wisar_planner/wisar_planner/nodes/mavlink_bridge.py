@@ -84,7 +84,7 @@ class MavlinkBridge(Node):
         self.create_timer(STATUS_PERIOD, self._publish_status)
 
     def close(self) -> None:
-        """End the connection; an upload under way is cancelled, the old mission stays."""
+        """End the connection; an upload under way is cancelled, see `MissionClient.close`."""
         self._client.close()
         self._action.destroy()
 
@@ -283,7 +283,7 @@ class MavlinkBridge(Node):
             items = (progress.items_sent, progress.items_total)
             if items != self._items:
                 self._set_state(
-                    MissionStatus.UPLOADING, f"{progress.phase}; the old mission counts", items
+                    MissionStatus.UPLOADING, f"{progress.phase}; not to be flown yet", items
                 )
                 goal.publish_feedback(
                     UploadMission.Feedback(items_sent=items[0], items_total=items[1])

@@ -208,7 +208,28 @@ def test_ardupilot_keeps_item_0_as_home():
 # -- what all have in common -------------------------------------------------------------------
 
 
-@ALL
+AS_A_WHOLE = pytest.mark.parametrize("profile", ["mavsdk", "px4"])
+
+
+def test_ardupilot_overwrites_its_mission_in_place():
+    target = server("ardupilot")
+    upload(target, 6)
+    old = target.lists[MISSION]
+    assert len(old) == 5  # without home
+    talk(target, count(4))
+    assert target.lists[MISSION] == old[:3]  # the return at its end is gone
+    talk(target, item(0, z=77.0), item(1, z=77.0))
+    assert [i.z for i in target.lists[MISSION]] == [77.0, 40.0, 40.0]
+    cancel = mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_OPERATION_CANCELLED, 0)
+    talk(target, cancel)
+    assert [i.z for i in target.lists[MISSION]] == [77.0, 40.0, 40.0]
+    upload(target, 6, FENCE, command=5001, param1=6.0)
+    fence = target.lists[FENCE]
+    talk(target, count(3, FENCE))
+    assert target.lists[FENCE] == fence  # only the mission
+
+
+@AS_A_WHOLE
 def test_the_old_mission_counts_until_the_last_item_is_in(profile):
     target = server(profile)
     upload(target, 2)
@@ -221,7 +242,7 @@ def test_the_old_mission_counts_until_the_last_item_is_in(profile):
     assert target.lists[MISSION] != old
 
 
-@ALL
+@AS_A_WHOLE
 def test_a_cancelled_upload_changes_nothing(profile):
     target = server(profile)
     upload(target, 2)

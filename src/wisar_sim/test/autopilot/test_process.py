@@ -286,6 +286,59 @@ def test_one_upload_at_a_time_and_closing_ends_it(px4):
     client.close()
 
 
+def test_closing_in_the_middle_of_an_upload_puts_an_ardupilots_mission_back(start):
+    long = build_mission(
+        np.column_stack([57.0 + 1e-6 * np.arange(400), np.full(400, -4.0)]), altitude_m=20.0
+    )
+    process = start("--profile", "ardupilot", "--delay-s", "0.005")
+    results, sent = [], threading.Event()
+
+    def progress(now):
+        if now.items_sent > 10:
+            sent.set()
+
+    client = client_of(process)
+    client.wait_heartbeat()
+    assert client.upload(MISSION).verified
+    thread = threading.Thread(
+        target=lambda: results.append(client.upload(long, on_progress=progress))
+    )
+    thread.start()
+    assert sent.wait(20.0)
+    client.close()
+    thread.join(5.0)
+    assert results[0].code is UploadCode.CANCELLED
+    assert "The old mission was put back" in results[0].error
+    with client_of(process) as other:
+        other.wait_heartbeat()
+        found = other.download()
+        assert other.vehicle.dialect.differences(MissionKind.MISSION, MISSION.items, found) == ()
+
+
+def test_a_mixture_is_not_started(start):
+    process = start("--profile", "ardupilot", "--delay-s", "0.02")
+    with client_of(process) as client:
+        client.wait_heartbeat()
+        assert client.upload(MISSION).verified
+        seen = []
+
+        def progress(now):
+            if now.items_sent > 2 and not seen:
+                seen.append(now)
+                os.kill(process.popen.pid, signal.SIGSTOP)  # and its link with it
+
+        result = client.upload(MISSION, on_progress=progress)
+        os.kill(process.popen.pid, signal.SIGCONT)
+        assert not result.old_counts
+        assert "do not fly it; upload again" in result.error
+        wait_for(lambda: client.link_status.connected)
+        client.arm()
+        with pytest.raises(LinkError, match="upload again first"):
+            client.start_mission()
+        assert client.upload(MISSION).verified
+        client.start_mission()
+
+
 # -- signing -------------------------------------------------------------------------------------
 
 

@@ -170,7 +170,10 @@ def test_a_link_that_only_carries_one_way_ends_in_words(profile):
     assert result.elapsed_s < 60.0
 
 
-@ALL
+AS_A_WHOLE = pytest.mark.parametrize("profile", ["mavsdk", "px4"])
+
+
+@AS_A_WHOLE
 def test_the_old_mission_counts_when_the_link_is_cut(profile):
     old, new = mission(7), mission(20, altitude_m=77.0)
     for cut in np.linspace(0.05, 2.5, 25):
@@ -184,6 +187,86 @@ def test_the_old_mission_counts_when_the_link_is_cut(profile):
             assert setup.holds(new)
 
 
+def test_a_mixture_after_a_cut_link_is_told():
+    """ArduPilot overwrites its mission in place, mostly without a return to launch at its end."""
+    old, new = mission(7), mission(20, altitude_m=77.0)
+    mixed = 0
+    for cut in np.linspace(0.05, 3.5, 25):
+        setup = Setup("ardupilot", LinkFaults(delay_s=0.02, jitter_s=0.01), seed=int(cut * 1e3))
+        setup.upload(old)
+        transfer = setup.transfer(new)
+        if setup.talk.run(transfer, until=setup.talk.now + cut):
+            continue
+        setup.talk.cut()
+        setup.talk.go_on(transfer)
+        setup.talk.settle(60.0)
+        assert not transfer.result.verified
+        assert setup.holds(old) or not transfer.result.old_counts
+        told = "mixture of the old and the new mission: do not fly it; upload again"
+        assert (told in transfer.result.error) is not transfer.result.old_counts
+        mixed += not (setup.holds(old) or setup.holds(new))
+    assert mixed > 5
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+@pytest.mark.parametrize("old_length", [0, 40])
+def test_an_ardupilot_gets_its_old_mission_back(old_length, loss):
+    old = mission(old_length, altitude_m=60.0) if old_length else Mission()
+    for seed, after in enumerate((0.2, 0.9, 2.0, 3.5, 6.0)):
+        setup = Setup("ardupilot", LinkFaults(loss=loss, delay_s=0.03), seed)
+        assert setup.upload(old, kinds=[MissionKind.MISSION]).verified
+        transfer = setup.transfer(mission(60))
+        if setup.talk.run(transfer, until=setup.talk.now + after):
+            continue
+        setup.talk._send_up(transfer.cancel(setup.talk.now))
+        while not setup.talk.go_on(transfer, until=setup.talk.now + 0.1):
+            setup.talk._send_up(transfer.cancel(setup.talk.now))  # as the client does
+        assert transfer.result.code is UploadCode.CANCELLED
+        assert transfer.result.old_counts
+        setup.talk.settle(30.0)
+        assert setup.holds(old)
+        begun = transfer._restoring is not None
+        assert ("The old mission was put back" in transfer.result.error) is begun
+
+
+@pytest.mark.parametrize("cancelled", [False, True])
+def test_an_ardupilot_that_still_waits_for_an_earlier_upload_is_waited_for(cancelled):
+    setup = Setup("ardupilot")
+    old = mission(7)
+    setup.upload(old)
+    abandoned = setup.transfer(mission(20))
+    setup.talk.run(abandoned, until=setup.talk.now + 1.5)
+    mixture = setup.server.lists[0]
+    transfer = setup.transfer(mission(5))
+    if cancelled:
+        assert not setup.talk.run(transfer, until=setup.talk.now + 3.0)
+        setup.talk._send_up(transfer.cancel(setup.talk.now))
+        assert transfer.result.code is UploadCode.CANCELLED
+        assert setup.server.lists[0] == mixture
+    else:
+        setup.talk.run(transfer)
+        assert transfer.result.verified
+
+
+def test_nothing_is_sent_to_an_ardupilot_whose_mission_cannot_be_read():
+    setup = Setup("ardupilot")
+    old = mission(7)
+    setup.upload(old)
+    original = setup.server.handle
+
+    def unreadable(message, client, now):
+        if message.get_type().startswith("MISSION_REQUEST"):
+            kind = mav.MAV_MISSION_UNSUPPORTED
+            return [mav.MAVLink_mission_ack_message(245, 190, kind, 0)]
+        return original(message, client, now)
+
+    setup.server.handle = unreadable
+    result = setup.upload(mission())
+    assert result.code is UploadCode.REFUSED
+    assert result.old_counts
+    assert setup.holds(old)
+
+
 @ALL
 @pytest.mark.parametrize("after", [0.0, 0.3, 0.7, 1.1])
 def test_cancelling_keeps_the_old_mission(profile, after):
@@ -193,6 +276,8 @@ def test_cancelling_keeps_the_old_mission(profile, after):
     transfer = setup.transfer(mission(60))
     assert not setup.talk.run(transfer, until=setup.talk.now + after)
     setup.talk._send_up(transfer.cancel(setup.talk.now))
+    assert transfer.done or profile == "ardupilot"  # whose mission has to be put back
+    setup.talk.go_on(transfer)
     assert transfer.result.code is UploadCode.CANCELLED
     setup.talk.settle(30.0)
     assert setup.holds(old)
@@ -211,11 +296,14 @@ def test_who_cancels_is_told_whether_the_old_mission_still_counts(profile):
         if setup.talk.run(transfer, until=setup.talk.now + after):
             continue
         setup.talk._send_up(transfer.cancel(setup.talk.now))
+        setup.talk.go_on(transfer)
         setup.talk.settle(30.0)
         told.add(transfer.result.old_counts)
         assert setup.holds(old) or not transfer.result.old_counts
-        assert ("old list counts" in transfer.result.error) is transfer.result.old_counts
-    assert told == {True, False}
+        words = ("old list counts", "old mission was put back")
+        assert any(w in transfer.result.error for w in words) is transfer.result.old_counts
+    # What is put back is proved as well, on this link.
+    assert told == ({True} if profile == "ardupilot" else {True, False})
 
 
 @ALL
@@ -237,11 +325,12 @@ def test_a_lost_last_acknowledgement_is_resolved_by_reading_back(profile):
 def test_a_long_silence_at_the_read_back_is_not_the_last_word(profile):
     setup = Setup(profile)
     original = setup.server.handle
-    silent_until = None
+    sent, silent_until = False, None
 
     def silent_for_a_while(message, client, now):
-        nonlocal silent_until
-        if silent_until is None and message.get_type() == "MISSION_REQUEST_LIST":
+        nonlocal sent, silent_until
+        sent |= message.get_type() == "MISSION_COUNT"  # before, ArduPilot's old one is read
+        if sent and silent_until is None and message.get_type() == "MISSION_REQUEST_LIST":
             silent_until = now + 60.0
         if silent_until is not None and now < silent_until:
             return []
@@ -263,7 +352,9 @@ def test_an_acknowledgement_proves_nothing(profile):
     result = setup.upload(mission(20), kinds=[MissionKind.MISSION])
     assert result.code is UploadCode.DIFFERENT
     assert "23 items were sent, 22 read back" in result.error
-    assert "Do not fly" in result.error
+    # Where it was overwritten, the old one is put back: here, none.
+    end = "The old mission was put back" if profile == "ardupilot" else "Do not fly"
+    assert end in result.error
 
 
 def test_an_autopilot_without_fences_can_still_take_missions():
@@ -307,7 +398,8 @@ def test_on_any_link_an_upload_ends_verified_or_with_words(profile, seed, count,
         assert setup.holds(new)
     else:
         assert len(result.error) > 20
-        assert setup.holds(old) or (setup.holds(new) and not result.old_counts)
+        mixed = profile == "ardupilot" and "do not fly it" in result.error
+        assert setup.holds(old) or ((mixed or setup.holds(new)) and not result.old_counts)
     assert result.elapsed_s < 1_800.0
 
 

@@ -265,7 +265,7 @@ class Autopilot:
             self.vehicle.load(self.missions.flight_items)
             self._startable_at = self._ticked_at + self.profile.checks_for_s / self._speed_up
         reason = self._why_not()
-        if reason is not None and self.vehicle.items:
+        if reason is not None and self.vehicle.items and not self.profile.replaces_in_place:
             # As PX4: the list is acknowledged all the same.
             self._say(mav.MAV_SEVERITY_WARNING, f"Mission denied: {reason}")
 

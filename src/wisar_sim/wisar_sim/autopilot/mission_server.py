@@ -98,7 +98,8 @@ class MissionServer:
     """Keeps the three lists and lets clients replace and read them.
 
     A list is replaced as a whole when the last of its new items is in; until then the old one
-    stays, whatever happens on the link.
+    stays, whatever happens on the link. Profiles that replace the mission in place overwrite it
+    item by item instead.
 
     Parameters
     ----------
@@ -202,6 +203,8 @@ class MissionServer:
         if count == 0:
             return self._replace(kind, (), client)
         self._receiving = _Receiving(client, kind, count, heard=now, asked=now)
+        if self._in_place(kind):
+            self._store(kind, self.lists[kind][: max(self._numbered(count), 0)])
         return [self._request(self._receiving, now)]
 
     def _request(self, receiving: _Receiving, now: float) -> Message:
@@ -240,6 +243,10 @@ class MissionServer:
             self._receiving = None
             return [_ack(result, kind, client)]
         receiving.items.append(self._normalised(kind, item))
+        at = self._numbered(seq)
+        if self._in_place(kind) and at >= 0:
+            old = self.lists[kind]
+            self._store(kind, (*old[:at], receiving.items[-1], *old[at + 1 :]))
         if len(receiving.items) < receiving.count:
             return [self._request(receiving, now)]
         self._receiving = None
@@ -282,9 +289,19 @@ class MissionServer:
             item, params=(first, second, third, heading), z=round(item.z, 2), autocontinue=1
         )
 
-    def _replace(self, kind: int, items: tuple[StoredItem, ...], client: Client) -> list[Message]:
+    def _in_place(self, kind: int) -> bool:
+        return self.profile.replaces_in_place and kind == mav.MAV_MISSION_TYPE_MISSION
+
+    def _numbered(self, seq: int) -> int:
+        """Return a number on the wire in the mission's own numbering, without home."""
+        return seq - 1 if self.profile.home_item else seq
+
+    def _store(self, kind: int, items: tuple[StoredItem, ...]) -> None:
         self.lists[kind] = items
         self._on_changed(kind)
+
+    def _replace(self, kind: int, items: tuple[StoredItem, ...], client: Client) -> list[Message]:
+        self._store(kind, items)
         return [_ack(mav.MAV_MISSION_ACCEPTED, kind, client)]
 
     def _on_clear(self, kind: int, client: Client) -> list[Message]:

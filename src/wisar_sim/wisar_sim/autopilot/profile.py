@@ -67,6 +67,9 @@ class Profile:
     stays_in_mission
         Whether the mode remains that of the mission at its end, in which, as in a return, the
         vehicle cannot be armed.
+    replaces_in_place
+        Whether a mission is cut to the new length when an upload begins, and its items are
+        replaced one by one as they come; the others replace it as a whole.
     goes_on
         Whether a mission that is replaced, or started anew, in flight goes on with the item that
         is current then; the others begin with the first.
@@ -95,6 +98,7 @@ class Profile:
     tells_return: bool = True
     stays_in_mission: bool = False
     streams_when_asked: bool = False
+    replaces_in_place: bool = False
     goes_on: bool = False
 
 
@@ -123,6 +127,7 @@ PROFILES: dict[str, Profile] = {
         home_item=True,
         stays_in_mission=True,
         streams_when_asked=True,
+        replaces_in_place=True,
         goes_on=True,
     ),
     "mavsdk": Profile(
