@@ -179,6 +179,9 @@ def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(
 
     def connected() -> bool:
         vehicle.mav.heartbeat_send(2, 12, 0, 0, 3)
+        # What it tells before its GPS has a fix is no position.
+        vehicle.mav.global_position_int_send(0, 0, 0, 0, 0, 0, 0, 0, 65535)
+        vehicle.mav.home_position_send(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
         return operator.mission is not None and operator.mission.connected
 
     try:

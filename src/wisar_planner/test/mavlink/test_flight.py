@@ -188,3 +188,23 @@ def test_ardupilots_numbers_leave_out_home():
 def test_a_place_outside_the_earth_is_ignored():
     message = mav.MAVLink_global_position_int_message(0, 2_000_000_000, 0, 0, 0, 0, 0, 0, 65535)
     assert changes(VehicleState(1, 1), message, 0.0) == {}
+
+
+def test_zero_zero_is_no_place():
+    """Vehicles tell it before their GPS has a fix."""
+    before = VehicleState(1, 1, latitude=57.0, longitude=-4.0, home=(57.0, -4.0, 9.0))
+    position = mav.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 65535)
+    home = mav.MAVLink_home_position_message(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    assert changes(before, position, 1.0) == changes(before, home, 1.0) == {}
+    on_the_equator = mav.MAVLink_global_position_int_message(0, 0, 10, 0, 0, 0, 0, 0, 65535)
+    assert changes(before, on_the_equator, 1.0)["latitude"] == 0.0
+
+
+def test_a_place_is_known_for_some_seconds():
+    message = mav.MAVLink_global_position_int_message(
+        0, 570_000_000, -40_000_000, 0, 0, 0, 0, 0, 65535
+    )
+    known = track(message)  # at 1 s
+    assert known.place_at(5.0) == pytest.approx((57.0, -4.0))
+    assert known.place_at(7.0) is None
+    assert VehicleState(1, 1).place_at(0.0) is None

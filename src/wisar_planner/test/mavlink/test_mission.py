@@ -161,3 +161,8 @@ def test_the_three_lists_can_be_taken_and_replaced():
         emptied = mission.with_kind(kind, ())
         assert emptied.of_kind(kind) == ()
         assert emptied.with_kind(kind, mission.of_kind(kind)) == mission
+
+
+def test_a_launch_at_0_0_is_refused():
+    with pytest.raises(InvalidInput, match="launch is 0, 0"):
+        build_mission([(57.0, -4.0)], altitude_m=40.0, launch=(0.0, 0.0))

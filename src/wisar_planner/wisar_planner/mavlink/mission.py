@@ -318,6 +318,10 @@ def build_mission(
     _positive("altitude_m", altitude_m)
     if end not in ("return_to_launch", "loiter"):
         raise InvalidInput(f"end must be 'return_to_launch' or 'loiter', got {end!r}")
+    if launch is not None and tuple(launch) == (0.0, 0.0):
+        raise InvalidInput(
+            "launch is 0, 0, which a vehicle tells before it knows its place; wait for its GPS"
+        )
     if altitude_frame not in _FRAMES:
         raise InvalidInput(f"altitude_frame must be one of {sorted(_FRAMES)}")
     frame = _FRAMES[altitude_frame]

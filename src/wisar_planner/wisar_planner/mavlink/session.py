@@ -159,13 +159,14 @@ class Session:
     def _track(self, message: Message, now: float) -> None:
         before = self.vehicle or VehicleState(message.get_srcSystem(), message.get_srcComponent())
         changed: dict[str, Any] = changes(before, message, now)
+        if self._streams is not None:  # also what tells nothing yet comes by itself
+            self._streams.heard(message.get_type(), now)
         if not changed:
             return
         self.vehicle = replace(before, **changed)
         name = message.get_type()
         if self._streams is None:
             self._streams = Streams(Address(before.system, before.component))
-        self._streams.heard(name, now)
         if name == "HEARTBEAT":
             self._watch(now)
         elif name == "STATUSTEXT":

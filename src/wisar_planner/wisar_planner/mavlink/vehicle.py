@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mav
@@ -11,6 +12,8 @@ from wisar_planner.mavlink.dialect import GENERIC, Dialect, dialect_of
 from wisar_planner.mavlink.modes import is_armed
 
 _NO_HEADING = 65_535
+POSITION_KNOWN_FOR_S = 5.0
+"""How old a position may be and still tell where the vehicle is, s."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,9 @@ class VehicleState:
     heard_at
         Monotonic time in seconds of the last heartbeat.
     latitude, longitude
-        Degrees; None before the first position.
+        Degrees, as last told; None before the first position. See `place_at`.
+    position_at
+        Monotonic time in seconds at which they were told.
     altitude, relative_altitude
         Metres above mean sea level and above home.
     velocity
@@ -58,6 +63,7 @@ class VehicleState:
     heard_at: float = 0.0
     latitude: float | None = None
     longitude: float | None = None
+    position_at: float = -math.inf
     altitude: float = 0.0
     relative_altitude: float = 0.0
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -72,6 +78,13 @@ class VehicleState:
         """How this autopilot speaks the mission protocol."""
         return dialect_of(self.autopilot) if self.heard_at else GENERIC
 
+    def place_at(self, now: float) -> tuple[float, float] | None:
+        """Return latitude and longitude, or None where they are not known at a time any more."""
+        if self.latitude is None or self.longitude is None:
+            return None
+        known = now - self.position_at <= POSITION_KNOWN_FOR_S
+        return (self.latitude, self.longitude) if known else None
+
 
 _LANDED = {
     mav.MAV_LANDED_STATE_ON_GROUND: True,
@@ -81,6 +94,12 @@ _LANDED = {
 }
 # ArduPilot tells it by the heartbeat; others are ACTIVE as soon as they are armed.
 _ARDUPILOT_LANDED = {mav.MAV_STATE_STANDBY: True, mav.MAV_STATE_ACTIVE: False}
+
+
+def _is_place(latitude: int, longitude: int) -> bool:
+    """Whether 1e-7 degrees lie on Earth; 0, 0 is what a vehicle tells before its GPS's fix."""
+    on_earth = abs(latitude) <= 900_000_000 and abs(longitude) <= 1_800_000_000
+    return on_earth and not latitude == longitude == 0
 
 
 def changes(state: VehicleState, message: Message, now: float) -> dict[str, object]:
@@ -98,12 +117,13 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
             "heard_at": now,
         }
     if name == "GLOBAL_POSITION_INT":
-        if abs(message.lat) > 900_000_000 or abs(message.lon) > 1_800_000_000:
+        if not _is_place(message.lat, message.lon):
             return {}
         known = message.hdg != _NO_HEADING
         return {
             "latitude": message.lat * 1e-7,
             "longitude": message.lon * 1e-7,
+            "position_at": now,
             "altitude": message.alt * 1e-3,
             "relative_altitude": message.relative_alt * 1e-3,
             "velocity": (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01),
@@ -112,6 +132,8 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
     if name == "EXTENDED_SYS_STATE" and state.autopilot != mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
         return {"landed": _LANDED.get(message.landed_state)}
     if name == "HOME_POSITION":
+        if not _is_place(message.latitude, message.longitude):
+            return {}
         return {
             "home": (message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
         }

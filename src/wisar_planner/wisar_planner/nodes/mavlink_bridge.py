@@ -230,9 +230,7 @@ class MavlinkBridge(Node):
 
     def _vehicle_place(self) -> tuple[float, float] | None:
         vehicle = self._client.vehicle
-        if vehicle is None or vehicle.latitude is None or vehicle.longitude is None:
-            return None
-        return vehicle.latitude, vehicle.longitude
+        return None if vehicle is None else vehicle.place_at(time.monotonic())
 
     def _launch_place(self) -> tuple[float, float] | None:
         """Where the vehicle starts and returns to: where it stands, or its home once it flies."""
@@ -246,7 +244,7 @@ class MavlinkBridge(Node):
         place = self._vehicle_place()
         if place is None and self._client.link_status.connected:
             return (
-                "the vehicle's position is not known yet, so that the distances cannot be "
+                "the vehicle's position is not known now, so that the distances cannot be "
                 "checked; wait for its GPS, then upload again",
             )
         limits = Limits(
