@@ -94,6 +94,7 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, target:
     operator = suite.operator
     result = upload(suite)
     assert result.error_code == result.NONE, result.error_text
+    assert "terrain is not checked" in result.error_text
     assert not operator.mission.armed
     deadline = time.monotonic() + patience
     while not (answer := call(suite, "arm")).success:  # a real one checks its sensors first
@@ -165,6 +166,8 @@ def test_unsafe_missions_are_refused_before_the_upload(suite, mixture_file, tmp_
     assert operator.mission.state != MissionStatus.VERIFIED
     # The bridge tells of the plan before it has written the files.
     suite.wait(lambda: all(map(Path.exists, files)), "the plan files")
+    written = "search.waypoints written; heights are above the launch point"
+    suite.wait(lambda: written in suite.log("mavlink_bridge"), "the word about heights")
 
 
 def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(

@@ -323,6 +323,15 @@ def test_nothing_is_uploaded_to_a_vehicle_that_flies_its_mission():
         assert not any(m.get_type().startswith("MISSION_") for m in vehicle.heard)
 
 
+def test_heights_above_terrain_are_not_sent_to_px4():
+    above_terrain = build_mission([(57.0, -4.0)], altitude_m=40.0, altitude_frame="terrain")
+    with talking_to(custom_mode=HOLD) as (vehicle, client):
+        result = client.upload(above_terrain)
+        assert result.code is UploadCode.REFUSED_BEFORE
+        assert "takes no heights above terrain" in result.error
+        assert not any(m.get_type().startswith("MISSION_") for m in vehicle.heard)
+
+
 def test_a_vehicle_that_begins_its_mission_before_the_upload_is_left_alone():
     """Its fence is still being sent then; the mission is not sent any more."""
 

@@ -96,6 +96,14 @@ def test_many_differences_are_cut_short():
     assert len(PX4.differences(KIND, items, tuple(replace(i, command=1) for i in items))) == 10
 
 
+def test_px4_takes_no_heights_above_terrain():
+    plan = [(57.0, -4.0), (57.001, -4.0)]
+    above_terrain = build_mission(plan, altitude_m=40.0, altitude_frame="terrain")
+    assert "use altitude_frame 'relative'" in PX4.refusal_of(above_terrain)
+    assert ARDUPILOT.refusal_of(above_terrain) == ""
+    assert PX4.refusal_of(build_mission(plan, altitude_m=40.0)) == ""
+
+
 # -- words ---------------------------------------------------------------------------------------
 
 

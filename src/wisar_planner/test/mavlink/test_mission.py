@@ -166,3 +166,10 @@ def test_the_three_lists_can_be_taken_and_replaced():
 def test_a_launch_at_0_0_is_refused():
     with pytest.raises(InvalidInput, match="launch is 0, 0"):
         build_mission([(57.0, -4.0)], altitude_m=40.0, launch=(0.0, 0.0))
+
+
+def test_whose_heights_are_above_the_launch_point_says_so():
+    plan = [(57.0, -4.0), (57.001, -4.0)]
+    (caution,) = build_mission(plan, altitude_m=40.0).cautions
+    assert caution == "heights are above the launch point; terrain is not checked"
+    assert build_mission(plan, altitude_m=40.0, altitude_frame="terrain").cautions == ()

@@ -252,7 +252,8 @@ class MissionClient:
     ) -> UploadResult:
         """Put a mission on the vehicle, read it back and compare. Never raises for the link.
 
-        A vehicle that is flying its mission would fly the new one at once: that is refused.
+        A vehicle that is flying its mission would fly the new one at once: that is refused, as is
+        what its family of autopilots is known not to take.
 
         Parameters
         ----------
@@ -290,7 +291,9 @@ class MissionClient:
                     f"no vehicle to talk to: {status.text}",
                     items_total=total,
                 )
-            why = self._against_uploading() if MissionKind.MISSION in kinds else ""
+            why = ""
+            if MissionKind.MISSION in kinds:
+                why = state.dialect.refusal_of(mission) or self._against_uploading()
             if why:
                 return UploadResult(UploadCode.REFUSED_BEFORE, why, items_total=total)
             transfer = MissionTransfer(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mav
 
-from wisar_planner.mavlink.mission import MissionItem, MissionKind, plain_frame
+from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind, plain_frame
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class Dialect:
         Coarseness in metres with which altitudes are kept.
     asks_again_after_s
         How long a request that is repeated may take to arrive, on a link that loses one.
+    terrain_frames
+        Whether heights above terrain are taken.
     replaces_in_place
         Whether a mission is replaced item by item as they arrive, and cut to the new length at
         the start: an upload that ends early leaves a mixture of the old and the new mission.
@@ -48,6 +50,7 @@ class Dialect:
     rally_altitude_step: float = 1e-3
     asks_again_after_s: float = 1.0
     gives_up_after_s: float = 5.0
+    terrain_frames: bool = True
     replaces_in_place: bool = False
     start_goes_on: bool = False
 
@@ -63,6 +66,16 @@ class Dialect:
         if self.home_item and kind is MissionKind.MISSION:
             return tuple(items[1:])
         return tuple(items)
+
+    def refusal_of(self, mission: Mission) -> str:
+        """Return in words why this family takes no such mission; empty if it may."""
+        terrain = mav.MAV_FRAME_GLOBAL_TERRAIN_ALT
+        if not self.terrain_frames and any(plain_frame(i.frame) == terrain for i in mission.items):
+            return (
+                f"{self.name} takes no heights above terrain; use altitude_frame 'relative' and "
+                "compare the heights with the ground"
+            )
+        return ""
 
     def differences(
         self, kind: MissionKind, wanted: Sequence[MissionItem], found: Sequence[MissionItem]
@@ -127,7 +140,7 @@ def _difference(
     return None
 
 
-PX4 = Dialect("PX4", gives_up_after_s=5.0)
+PX4 = Dialect("PX4", gives_up_after_s=5.0, terrain_frames=False)
 ARDUPILOT = Dialect(
     "ArduPilot",
     home_item=True,

@@ -188,6 +188,14 @@ class Mission:
         return replace(self, **{names[kind]: tuple(items)})
 
     @property
+    def cautions(self) -> tuple[str, ...]:
+        """What to know before the flight, one sentence each."""
+        relative = mav.MAV_FRAME_GLOBAL_RELATIVE_ALT
+        if any(i.is_waypoint and plain_frame(i.frame) == relative for i in self.items):
+            return ("heights are above the launch point; terrain is not checked",)
+        return ()
+
+    @property
     def waypoints(self) -> NDArray[np.float64]:
         """Latitude, longitude (degrees) and altitude (m) of the plain waypoints, (N, 3)."""
         rows = [(i.latitude, i.longitude, i.z) for i in self.items if i.is_waypoint]

@@ -196,9 +196,13 @@ class MavlinkBridge(Node):
         )
         for name in filter(None, self._value("plan_files").split(",")):
             try:
-                write_plan_file(Path(name.strip()), self._mission(plan))
+                mission = self._mission(plan)
+                write_plan_file(Path(name.strip()), mission)
             except (InvalidInput, OSError) as error:
                 self.get_logger().error(f"plan file not written: {error}")
+            else:
+                text = "; ".join((f"plan file {name.strip()} written", *mission.cautions))
+                self.get_logger().info(text)
 
     def _mission(self, plan: Plan) -> Mission:
         """Build the mission of a plan with the parameters, or raise InvalidInput."""
@@ -298,11 +302,12 @@ class MavlinkBridge(Node):
             self._map_id = plan.map_id
             self._track(plan, mission)
             count = len(mission.items)
-            text = "; ".join((f"{count} items uploaded, read back and equal", *outcome.notes))
+            notes = (*outcome.notes, *mission.cautions)
+            text = "; ".join((f"{count} items uploaded, read back and equal", *notes))
             self._set_state(MissionStatus.VERIFIED, text, (count, count))
             self.get_logger().info(text)
             goal.succeed()
-            return Result(error_code=Result.NONE, error_text="; ".join(outcome.notes), items=count)
+            return Result(error_code=Result.NONE, error_text="; ".join(notes), items=count)
         if not outcome.old_counts:  # nobody knows what the vehicle would fly now
             self._map_id, self._tracker = "", None
         text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))

@@ -100,6 +100,7 @@ def test_mavsdk_asks_for_integers():
     [
         ({"command": 31_999}, ("UNSUPPORTED", "UNSUPPORTED", "ACCEPTED")),
         ({"frame": 99}, ("UNSUPPORTED_FRAME", "UNSUPPORTED_FRAME", "ACCEPTED")),
+        ({"frame": 11}, ("UNSUPPORTED_FRAME", "ACCEPTED", "ACCEPTED")),
         ({"x": 950_000_000}, ("ACCEPTED", "INVALID_PARAM5_X", "ACCEPTED")),
         ({"z": math.nan}, ("ACCEPTED", "INVALID_PARAM7", "ACCEPTED")),
     ],

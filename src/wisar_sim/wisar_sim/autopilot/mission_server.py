@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
 
-from wisar_sim.autopilot.profile import KNOWN_COMMANDS, KNOWN_FRAMES, Profile, Requests
+from wisar_sim.autopilot.profile import KNOWN_COMMANDS, Profile, Requests
 
 Message = Any
 """A pymavlink message; the library carries no types."""
@@ -261,7 +261,7 @@ class MissionServer:
         if profile.checks_commands:
             if item.command not in KNOWN_COMMANDS[kind]:
                 return int(mav.MAV_MISSION_UNSUPPORTED)
-            if item.frame not in KNOWN_FRAMES:
+            if item.frame not in profile.frames:
                 return int(mav.MAV_MISSION_UNSUPPORTED_FRAME)
         if profile.checks_values:
             for number, value in enumerate(item.params):

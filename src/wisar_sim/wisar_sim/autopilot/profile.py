@@ -16,6 +16,20 @@ class Requests(Enum):
     ADAPTIVE = "either"
 
 
+_FRAMES = frozenset(
+    {
+        mav.MAV_FRAME_GLOBAL,
+        mav.MAV_FRAME_MISSION,
+        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        mav.MAV_FRAME_GLOBAL_INT,
+        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    }
+)
+_TERRAIN_FRAMES = frozenset(
+    {mav.MAV_FRAME_GLOBAL_TERRAIN_ALT, mav.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT}
+)
+
+
 @dataclass(frozen=True)
 class Profile:
     """The behaviour of one family of autopilots.
@@ -32,6 +46,8 @@ class Profile:
         (ADAPTIVE).
     checks_commands
         Whether unknown commands and frames are refused.
+    frames
+        Altitude frames that are known, where unknown ones are refused.
     checks_values
         Whether places and altitudes that cannot be, and NaN parameters, are refused.
     says_wrong_sequence
@@ -81,6 +97,7 @@ class Profile:
     autopilot: int
     requests: Requests = Requests.INT
     checks_commands: bool = True
+    frames: frozenset[int] = _FRAMES | _TERRAIN_FRAMES
     checks_values: bool = False
     says_wrong_sequence: bool = False
     wrong_sequence_aborts: bool = False
@@ -107,6 +124,7 @@ PROFILES: dict[str, Profile] = {
         "px4",
         mav.MAV_AUTOPILOT_PX4,
         requests=Requests.ADAPTIVE,
+        frames=_FRAMES,
         busy_when_transferring=True,
         repeats_acknowledgement=True,
         plain_places=True,
@@ -173,15 +191,3 @@ KNOWN_COMMANDS: dict[int, frozenset[int]] = {
     mav.MAV_MISSION_TYPE_RALLY: frozenset({mav.MAV_CMD_NAV_RALLY_POINT}),
 }
 """Commands that the simulated vehicle can execute, by list."""
-
-KNOWN_FRAMES = frozenset(
-    {
-        mav.MAV_FRAME_GLOBAL,
-        mav.MAV_FRAME_MISSION,
-        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-        mav.MAV_FRAME_GLOBAL_INT,
-        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        mav.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-        mav.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-    }
-)
