@@ -55,6 +55,6 @@ def test_maps_of_other_contents_from_one_file_have_other_names(server, tmp_path:
 
     assert name(1) == name(1)
     names = {name(1), name(2)}
-    server.set_parameters([Parameter("area", value=str(area))])
+    server.set_parameters([Parameter("area_file", value=str(area))])
     names |= {name(1), name(2)}
     assert len(names) == 4

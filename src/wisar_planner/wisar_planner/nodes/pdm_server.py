@@ -60,15 +60,17 @@ class PdmServer(Node):
             "Map to publish: a GeoTIFF, or a GeoJSON or YAML mixture; empty: wait for load_pdm",
             read_only=True,
         )
+        # Not `area` and `components`: a file like config/paper.yaml gives all nodes under those
+        # names what `wisar evaluate` draws its random maps from.
         parameters.declare(
             self,
-            "area",
+            "area_file",
             "",
             "GeoJSON file with the search area; empty: the raster's footprint, the mixture's area",
         )
         parameters.declare(
             self,
-            "components",
+            "fit_components",
             0,
             "Normal distributions to fit to a raster; 0: chosen by the fit's criterion",
             minimum=0,
@@ -88,7 +90,7 @@ class PdmServer(Node):
         self._grid_publisher = self.create_publisher(OccupancyGrid, "pdm_grid", LATCHED)
         self._waiting: _Draft | None = None  # for the clock
         if path:
-            draft = self._read(path, self.get_parameter("components").value)
+            draft = self._read(path, self.get_parameter("fit_components").value)
             if self._clock_runs():
                 self._publish(draft)
             else:
@@ -110,7 +112,7 @@ class PdmServer(Node):
                     "stamp cannot be told from an older one; start the simulator first"
                 )
             draft = self._read(
-                request.path, int(request.components) or self.get_parameter("components").value
+                request.path, int(request.components) or self.get_parameter("fit_components").value
             )
             located = self._publish(draft)
         except (InvalidInput, OSError) as error:
@@ -150,7 +152,7 @@ class PdmServer(Node):
         OSError
             When it cannot be read.
         """
-        loaded = load_map(path, area=self.get_parameter("area").value or None)
+        loaded = load_map(path, area=self.get_parameter("area_file").value or None)
         mixture, fit_text = self._mixture(loaded, components)
         located = LocatedMap(
             map_id=f"{Path(path).stem}-{_content_hash(mixture, loaded)}",
