@@ -140,13 +140,42 @@ def test_a_callback_that_fails_ends_the_node_and_says_why(
     ],
 )
 def test_wrong_ros_arguments_are_named(arguments: list[str], words: str) -> None:
-    script = "import sys; from wisar_planner.nodes.runtime import spin; sys.exit(spin(object))"
-    done = subprocess.run(
-        [sys.executable, "-c", script, "--ros-args", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = run_node("--ros-args", *arguments)
     assert done.returncode == 2
     assert words in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def run_node(*arguments: str) -> subprocess.CompletedProcess[str]:
+    script = "import sys; from wisar_planner.nodes.runtime import spin; sys.exit(spin(object))"
+    return subprocess.run(
+        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["-p", "map:=map.tif"],
+        ["map:=map.tif"],
+        ["map.tif", "--ros-args", "-p", "grid_cell:=5.0"],
+        ["--ros-args", "-p", "grid_cell:=5.0", "--", "map.tif"],
+    ],
+)
+def test_arguments_without_ros_args_are_refused(arguments: list[str]) -> None:
+    done = run_node(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert "map.tif" in line
+    assert "--ros-args" in line
+
+
+def test_help_tells_what_the_node_does() -> None:
+    script = "import sys; from wisar_planner.nodes.entry import pdm_server; sys.exit(pdm_server())"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--help"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("usage: ")
+    assert "--ros-args" in done.stdout
+    assert "Publishes a probability map" in done.stdout

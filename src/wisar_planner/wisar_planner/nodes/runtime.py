@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, Protocol, cast
 
 import rclpy
@@ -20,6 +22,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Task
+from rclpy.utilities import remove_ros_args
 
 from wisar_planner.errors import InvalidInput
 
@@ -120,7 +123,15 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
 
     A mistake in its arguments or parameters ends it with one line on stderr and status 2. Callbacks
     at work when it is told to end come to their end first, so that nothing is sent in halves.
+
+    Parameters
+    ----------
+    factory : callable
+        The node's class; its docstring is what `--help` prints.
+    arguments : sequence of str, optional
+        Command line, the program's name first; the process's own unless given.
     """
+    arguments = sys.argv if arguments is None else arguments
     try:
         # rclpy's own handlers would shut ROS down under callbacks at work.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -129,6 +140,19 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     except RuntimeError as error:  # rclpy's errors have no public names
         text = " ".join(str(error).split(", at ")[0].split())
         print(f"{factory.__name__}: ROS arguments not understood: {text}", file=sys.stderr)
+        return 2
+    rest = remove_ros_args(arguments)[1:]
+    if rest:
+        rclpy.try_shutdown()
+        if {"-h", "--help"} & set(rest):
+            print(_usage(factory, arguments[0]))
+            return 0
+        # `-p NAME:=VALUE` without `--ros-args` would start the node with its defaults.
+        print(
+            f"{factory.__name__}: arguments not understood: {' '.join(rest)} "
+            "(parameters and the like stand after --ros-args; see --help)",
+            file=sys.stderr,
+        )
         return 2
     try:
         node = factory()
@@ -147,6 +171,15 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     if failure is not None:
         raise failure
     return 0
+
+
+def _usage(factory: Callable[[], Node], program: str) -> str:
+    return (
+        f"usage: {Path(program).name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] "
+        "[-r FROM:=TO] ...]\n\n"
+        f"{inspect.getdoc(factory) or factory.__name__}\n\n"
+        "Parameters, with meaning and range: ros2 param describe NODE NAME, or the package's README"
+    )
 
 
 def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | None:
