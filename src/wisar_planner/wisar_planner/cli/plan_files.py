@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from wisar_planner.errors import InvalidInput
-
 
 def check_names(
     inputs: Mapping[str, Path], outputs: Iterable[tuple[str, Path, tuple[str, ...]]]
@@ -26,6 +24,8 @@ def check_names(
         If an output has another suffix, is a folder, or is the same file as an input or as
         another output.
     """
+    from wisar_planner.errors import InvalidInput
+
     taken = {_identity(path): name for name, path in inputs.items()}
     for option, path, suffixes in outputs:
         if path.suffix.lower() not in suffixes:
@@ -53,6 +53,8 @@ def make_places(paths: Iterable[tuple[str, Path]]) -> None:
     InvalidInput
         If a folder cannot be made or a file in it not be written.
     """
+    from wisar_planner.errors import InvalidInput
+
     for option, path in paths:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

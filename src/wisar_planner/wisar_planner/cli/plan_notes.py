@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-import shapely
+from typing import TYPE_CHECKING
 
-from wisar_planner.pdm.geodesy import LocalFrame
-from wisar_planner.search import SearchPath, SearchProblem
+if TYPE_CHECKING:
+    from wisar_planner.pdm.geodesy import LocalFrame
+    from wisar_planner.search import SearchPath, SearchProblem
 
 _ALIKE = 5e-5  # what is less is not seen in four decimals
 _MOST_PARTS = 5  # that are named one by one
@@ -45,6 +45,9 @@ def notes_on_path(
 
 def _length_outside(problem: SearchProblem, path: SearchPath) -> float:
     """Return how many metres of a path lie outside the area by more than rounding."""
+    import numpy as np
+    import shapely
+
     legs = shapely.linestrings(np.stack((path.waypoints[:-1], path.waypoints[1:]), axis=1))
     widened = problem.area.polygon.buffer(1e-6 * problem.step_length, join_style="mitre")
     shapely.prepare(widened)
@@ -55,6 +58,9 @@ def _length_outside(problem: SearchProblem, path: SearchPath) -> float:
 
 def _unseen_parts(problem: SearchProblem, path: SearchPath, frame: LocalFrame) -> list[str]:
     """Name the separate parts of the area of which a path sees nothing, the most probable first."""
+    import numpy as np
+    import shapely
+
     parts = shapely.get_parts(problem.area.polygon)
     points = path.waypoints
     line = shapely.LineString(points) if len(points) > 1 else shapely.Point(points[0])
