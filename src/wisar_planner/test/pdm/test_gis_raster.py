@@ -300,7 +300,7 @@ def write_bands(path, values, **profile):
 def test_a_picture_of_a_map_is_refused(tmp_path):
     path = write_bands(tmp_path / "rgb.tif", np.full((4, 4, 4), 200, "uint8"))
     for band, name in enumerate(("red", "green", "blue", "alpha"), 1):
-        with pytest.raises(InvalidInput, match=f"band {band} is the {name} of colours, a picture"):
+        with pytest.raises(InvalidInput, match=f"band {band} holds the {name} channel, .* picture"):
             load_map(path, band=band)
     with rasterio.open(path, "r+") as dataset:
         dataset.colorinterp = [ColorInterp.undefined] * 4  # as the message says
@@ -308,7 +308,7 @@ def test_a_picture_of_a_map_is_refused(tmp_path):
     palette = write_bands(tmp_path / "palette.tif", np.ones((1, 4, 4), "uint8"))
     with rasterio.open(palette, "r+") as dataset:
         dataset.write_colormap(1, {1: (255, 0, 0, 255)})
-    with pytest.raises(InvalidInput, match=r"band 1 is a palette of colours.*raw values"):
+    with pytest.raises(InvalidInput, match=r"band 1 holds a palette of colours.*raw values"):
         load_map(palette)
 
 

@@ -230,13 +230,13 @@ def _check_dataset(dataset: Any, path: Path, band: int) -> None:
 
 def _check_colours(dataset: Any, path: Path, band: int) -> None:
     """Refuse a picture: a colour is no probability, and in most pictures nothing is white, 255."""
-    refusal = f"{path}: band {band} is %s, a picture of a map; export the raw values"
+    refusal = f"{path}: band {band} holds %s, so this is a picture of a map; export the raw values"
     if _has_colour_table(dataset, band):
         raise InvalidInput(f"{refusal % 'a palette of colours'}, without a colour table")
     colour = dataset.colorinterp[band - 1]
     if colour in _COLOURS:
         raise InvalidInput(
-            f"{refusal % f'the {colour.name} of colours'} (in QGIS: Save As, Raw data); if it does "
+            f"{refusal % f'the {colour.name} channel'} (in QGIS: Save As, Raw data); if it does "
             f"hold probabilities: gdal_edit.py -colorinterp_{band} undefined {path.name}"
         )
 
