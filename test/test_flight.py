@@ -25,6 +25,8 @@ from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_sim.nodes.operator import Operator
 from wisar_sim.processes import executable, free_udp_port, only_one
 
+RETURN = "return_to_launch"
+PX4_HOLD, PX4_RETURN = 3, 5  # sub-modes of AUTO
 REAL = os.environ.get("WISAR_AUTOPILOT")
 
 
@@ -200,6 +202,36 @@ def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(
         assert "position is not known" in operator.upload_result.error_text
     finally:
         vehicle.close()
+
+
+def test_a_return_is_sent_at_once_whatever_else_waits_for_an_answer(suite) -> None:
+    connection = f"udpin:127.0.0.1:{suite.port}"
+    suite.start("wisar_planner", "mavlink_bridge", connection=connection)
+    operator, modes = suite.operator, []
+    silent = mavutil.mavlink_connection(f"udpout:127.0.0.1:{suite.port}", source_system=1)
+
+    def connected() -> bool:
+        silent.mav.heartbeat_send(2, 12, 128, 4 << 16 | 4 << 24, 4)  # armed, flying its mission
+        while (heard := silent.recv_match(blocking=False)) is not None:
+            if getattr(heard, "command", None) == mavutil.mavlink.MAV_CMD_DO_SET_MODE:
+                modes.append(int(heard.param3))
+        return operator.mission is not None and operator.mission.connected
+
+    try:
+        suite.wait(connected, "a link")
+        clients = {n: operator.node.create_client(Trigger, n) for n in ("pause", "resume", RETURN)}
+        for name, client in clients.items():
+            suite.wait(client.service_is_ready, f"the service {name}")
+        waiting = [clients["pause"].call_async(Trigger.Request()) for _ in range(6)]
+        waiting += [clients["resume"].call_async(Trigger.Request()) for _ in range(6)]
+        suite.wait(lambda: connected() and PX4_HOLD in modes, "the pause")
+        waiting.append(clients[RETURN].call_async(Trigger.Request()))
+        suite.wait(lambda: connected() and PX4_RETURN in modes, "the return", 6.0)
+        last = len(modes)
+        suite.wait(lambda: connected() and len(modes) >= last + 3, "repetitions of the return")
+        assert set(modes[last:]) == {PX4_RETURN}
+    finally:
+        silent.close()
 
 
 def test_an_unknown_vehicle_refuses_requests_in_words(suite) -> None:

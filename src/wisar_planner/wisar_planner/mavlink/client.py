@@ -186,7 +186,9 @@ class MissionClient:
         """Why the input-output thread ended by itself; no call can be served any more."""
         self._ended = False
         self._requesting = threading.Lock()
-        self._urgent: list[str] = []  # requests that waited for nothing, in words, oldest first
+        self._urgent_lock = threading.Lock()
+        self._urgent = 0, ""
+        """How many requests waited for nothing so far, and the last one in words."""
         self._uploading = threading.Lock()
         self._starting = False
         self._doubtful = False  # whether the last upload left a mission that nobody has verified
@@ -447,17 +449,19 @@ class MissionClient:
         callable
             To be called before each step; raises LinkError when the request is to be given up.
         """
-        if urgent:
-            self._urgent.append(words)
-        elif not self._requesting.acquire(blocking=False):
+        with self._urgent_lock:
+            if urgent:
+                self._urgent = self._urgent[0] + 1, words
+            mine = self._urgent[0]
+        if not urgent and not self._requesting.acquire(blocking=False):
             raise LinkError(
                 f"{words}: another request to the vehicle is in progress; wait for its answer"
             )
-        before = len(self._urgent)
 
         def check() -> None:
-            if len(self._urgent) > before:
-                raise LinkError(f"{words}: given up, as {self._urgent[before]} was asked for")
+            number, latest = self._urgent
+            if number != mine:
+                raise LinkError(f"{words}: given up, as {latest} was asked for")
 
         try:
             yield check
