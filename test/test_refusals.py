@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
+from array import array
 from collections.abc import Callable
 
 import pytest
@@ -37,6 +38,14 @@ def indefinite_covariance(m: ProbabilityMap) -> None:
 
 def asymmetric_covariance(m: ProbabilityMap) -> None:
     m.covariances[1] = 0.0
+
+
+def needle(m: ProbabilityMap) -> None:
+    m.covariances[:4] = array("d", [1e-12, 0.0, 0.0, 1e-12])
+
+
+def component_beyond_the_earth(m: ProbabilityMap) -> None:
+    m.means[0] = 1e12
 
 
 def arrays_of_different_length(m: ProbabilityMap) -> None:
@@ -80,6 +89,8 @@ WRONG_MAPS: dict[Callable[[ProbabilityMap], None], str] = {
     no_components: "weights",
     indefinite_covariance: "positive definite",
     asymmetric_covariance: "symmetric",
+    needle: "standard deviation of 1e-06 m",
+    component_beyond_the_earth: "means must be metres from the origin",
     arrays_of_different_length: "means has 2 values",
     empty_area: "area is empty",
     area_without_extent: "area",
@@ -134,6 +145,14 @@ def plan_without_swath(p: SearchPlan) -> None:
     p.swath_radius = 0.0
 
 
+def plan_with_an_endless_swath(p: SearchPlan) -> None:
+    p.swath_radius = 1e300
+
+
+def plan_to_the_stars(p: SearchPlan) -> None:
+    p.x[3] = 1e300
+
+
 def plan_off_the_earth(p: SearchPlan) -> None:
     p.origin.longitude = math.nan
 
@@ -144,6 +163,8 @@ WRONG_PLANS = {
     plan_with_a_missing_value: "equally long",
     plan_beyond_certainty: "between 0 and 1",
     plan_without_swath: "swath_radius",
+    plan_with_an_endless_swath: "swath_radius",
+    plan_to_the_stars: "waypoints must be metres from the origin",
     plan_off_the_earth: "longitude",
 }
 

@@ -151,6 +151,47 @@ def test_a_grid_of_too_many_cells_is_refused_with_a_cell_that_will_do(cell: floa
     assert 3_990_000 < len(grid.data) < 4_010_000
 
 
+@pytest.mark.parametrize(
+    ("deviations", "words"),
+    [
+        ((1e-6, 1e-6), "standard deviation of 1e-06 m, below 0.01 m"),
+        ((0.009, 300.0), "standard deviation of 0.009 m, below 0.01 m"),
+        ((2e5, 2e7), "standard deviation of 2e[+]07 m, above 1e[+]07 m"),
+        ((0.011, 300.0), ""),
+    ],
+)
+def test_a_component_must_have_a_width_that_can_be_searched(deviations, words: str) -> None:
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    covariance = turn @ np.diag(np.square(deviations)) @ turn.T
+    covariance = (covariance + covariance.T) / 2.0
+    mixture = GaussianMixture(
+        [0.5, 0.5], np.zeros((2, 2)), [[[400.0, 0.0], [0.0, 400.0]], covariance]
+    )
+    located = LocatedMap("m", mixture, AREA, GeoOrigin(56.8, -5.0))
+    message = over_the_wire(conversions.map_to_msg(located))
+    if words:
+        with pytest.raises(InvalidInput, match=f"component 1 have a {words}"):
+            conversions.map_from_msg(message)
+    else:
+        assert conversions.map_from_msg(message).map_id == "m"
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "radius", "words"),
+    [
+        ([[0.0, 0.0], [10.0, 0.0]], 1e300, "swath_radius must be at most"),
+        ([[0.0, 0.0], [1e300, 0.0]], 2.5, "waypoints must be metres"),
+        ([[0.0, 0.0], [0.0, -1.1e7]], 2.5, "waypoints must be metres"),
+    ],
+)
+def test_a_plan_must_lie_on_the_ground(waypoints, radius: float, words: str) -> None:
+    (x, y) = np.transpose(waypoints).tolist()
+    message = SearchPlan(x=x, y=y, probability=[0.0, 0.1], swath_radius=radius)
+    message.step_length = message.budget = message.probability_in_area = 1.0
+    with pytest.raises(InvalidInput, match=words):
+        conversions.plan_from_msg(message)
+
+
 @pytest.mark.parametrize("message", [ProbabilityMap(), ProbabilityMap(id="x"), SearchPlan()])
 def test_an_empty_message_is_refused(message) -> None:
     read = (

@@ -27,6 +27,12 @@ from wisar_planner.search import SearchArea, SearchPath, SearchProblem, upper_bo
 
 FloatArray = NDArray[np.float64]
 
+SMALLEST_DEVIATION = 0.01
+"""Metres: a component narrower than this is a mistake, and costs hours to integrate."""
+LARGEST_COORDINATE = 1e7
+"""Metres east or north, a quarter of the way around the Earth: no local frame goes further."""
+LARGEST_SWATH = 1e5
+"""Metres to either side of a path: no camera sees further."""
 LARGEST_GRID = 4_000_000
 """Cells of an OccupancyGrid, 1 byte each: more floods the middleware and no display shows them."""
 
@@ -217,9 +223,10 @@ def map_from_msg(message: wisar_msg.ProbabilityMap) -> LocatedMap:
     Raises
     ------
     InvalidInput
-        When the id is missing, the arrays do not belong together, a number is not finite, the
-        weights do not sum to 1, a covariance is not positive definite, the area is empty, or the
-        map holds no probability inside its area.
+        When the id is missing, the arrays do not belong together, a number is not finite or no
+        length on Earth, the weights do not sum to 1, a covariance is not positive definite or its
+        standard deviation below `SMALLEST_DEVIATION`, the area is empty, or the map holds no
+        probability inside its area.
     """
     if not message.id:
         raise InvalidInput("id is empty: a map needs a name that plans can refer to")
@@ -235,6 +242,7 @@ def map_from_msg(message: wisar_msg.ProbabilityMap) -> LocatedMap:
         np.array(message.means, dtype=np.float64).reshape(count, 2),
         np.array(message.covariances, dtype=np.float64).reshape(count, 2, 2),
     )
+    _check_extent(pdm)
     area = area_from_msg(message.area)
     if not pdm.integrate(area.polygon) > 0.0:
         raise InvalidInput(
@@ -279,8 +287,8 @@ def plan_from_msg(message: wisar_msg.SearchPlan) -> Plan:
     Raises
     ------
     InvalidInput
-        When there are no waypoints, the arrays do not belong together, a number is not finite,
-        or the probability is not between 0 and 1.
+        When there are no waypoints, the arrays do not belong together, a number is not finite or
+        no length on Earth, or the probability is not between 0 and 1.
     """
     count = len(message.x)
     if count < 1 or len(message.y) != count or len(message.probability) != count:
@@ -291,12 +299,16 @@ def plan_from_msg(message: wisar_msg.SearchPlan) -> Plan:
     probability = finite_array(message.probability, "probability", (None,))
     if probability.min() < 0.0 or probability.max() > 1.0 + 1e-9:
         raise InvalidInput("probability must lie between 0 and 1")
-    waypoints = finite_array(np.column_stack((message.x, message.y)), "waypoints", (None, 2))
+    waypoints = _coordinates(np.column_stack((message.x, message.y)), "waypoints")
     numbers = ("swath_radius", "step_length", "budget", "probability_in_area")
     for name in numbers:
         value = float(getattr(message, name))
         if not (math.isfinite(value) and value > 0.0):
             raise InvalidInput(f"{name} must be a finite number above 0, not {value}")
+    if message.swath_radius > LARGEST_SWATH:
+        raise InvalidInput(
+            f"swath_radius must be at most {LARGEST_SWATH:g} m, not {message.swath_radius:g}"
+        )
     return Plan(
         path=SearchPath(waypoints, message.swath_radius, planner=message.planner),
         map_id=message.map_id,
@@ -403,4 +415,36 @@ def _ring_from_msg(message: wisar_msg.Ring, name: str) -> FloatArray:
             f"{name} needs at least 3 points, as many x as y; "
             f"it has {len(message.x)} x and {len(message.y)} y"
         )
-    return finite_array(np.column_stack((message.x, message.y)), name, (None, 2))
+    return _coordinates(np.column_stack((message.x, message.y)), name)
+
+
+def _coordinates(points: FloatArray, name: str) -> FloatArray:
+    """Return points, (N, 2) m, that can lie in a local frame, or raise InvalidInput."""
+    points = finite_array(points, name, (None, 2))
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest > LARGEST_COORDINATE:
+        raise InvalidInput(
+            f"{name} must be metres from the origin, at most {LARGEST_COORDINATE:g}: "
+            f"one is {largest:g}"
+        )
+    return points
+
+
+def _check_extent(pdm: GaussianMixture) -> None:
+    """Raise InvalidInput where a component is narrower or wider than anything on the ground."""
+    _coordinates(pdm.means, "means")
+    deviations = np.sqrt(np.linalg.eigvalsh(pdm.covariances))
+    narrow = deviations[:, 0] < SMALLEST_DEVIATION
+    wide = deviations[:, 1] > LARGEST_COORDINATE
+    if narrow.any():
+        k = int(narrow.argmax())
+        raise InvalidInput(
+            f"covariances of component {k} have a standard deviation of {deviations[k, 0]:.3g} m, "
+            f"below {SMALLEST_DEVIATION:g} m; they are square metres"
+        )
+    if wide.any():
+        k = int(wide.argmax())
+        raise InvalidInput(
+            f"covariances of component {k} have a standard deviation of {deviations[k, 1]:.3g} m, "
+            f"above {LARGEST_COORDINATE:g} m; they are square metres"
+        )
