@@ -261,6 +261,22 @@ def test_coarse_cells_keep_their_mass_within_the_border(tmp_path, crs, cell, tur
         assert loaded.pdm.integrate(outline) == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("crs", "cell", "turn"),
+    [("EPSG:4326", (3e-3, 2e-3), 0.0), ("EPSG:27700", 200.0, 45.0)],
+    ids=["degrees", "turned"],
+)
+def test_a_coarse_cell_keeps_its_place(tmp_path, crs, cell, turn):
+    values = np.zeros((12, 16))
+    values[5, 4] = 1.0
+    transform = around(crs, cell, 16, 12, turn)
+    loaded = load_map(write_tif(tmp_path / "map.tif", values, crs, transform))
+    corners = corners_in_local(crs, transform, 12, 16, loaded.frame)
+    hot = shapely.Polygon(corners[[5, 5, 6, 6], [4, 5, 5, 4]])
+    # In local cells as coarse as its own, about half of it would lie beside it.
+    assert loaded.pdm.integrate(hot) == pytest.approx(1.0, abs=0.1)
+
+
 def test_probability_smeared_over_the_border_is_said(tmp_path):
     path = write_tif(
         tmp_path / "map.tif", np.ones((12, 16)), "EPSG:27700",

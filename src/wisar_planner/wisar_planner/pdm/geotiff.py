@@ -3,8 +3,8 @@
 The value of a cell is taken as the weight of that cell: a probability, a score or, where cells are
 equally large, a density. Cells without data (the file's nodata value or mask, and NaN) weigh
 nothing. The warp keeps the mass: each source cell, a quadrilateral in the local frame, is split
-among the local cells that it overlaps, by area. Where cells as coarse as the source's would carry
-probability over the border of the raster, finer ones are taken.
+among the local cells that it overlaps, by area. Where the source has few cells, or ones as coarse
+would carry probability over the border of the raster, finer ones are taken.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ MAX_CELLS = 50_000_000
 
 _MOST_LEAK = 0.01
 """Probability smeared over the border of the raster that is not worth a word."""
+
+_CHEAP_CELLS = 40_000
+"""Cells up to which each of the raster's own is made of parts in any case."""
 
 _FINEST_CELLS = 4_000_000
 """Cells up to which finer ones are made to keep the probability within the raster's border."""
@@ -68,8 +71,8 @@ def load_geotiff(
         Which band holds the map, from 1.
     cell : float, optional
         Side of the local cells in metres. By default the raster's own (the square root of the
-        mean ground area of its cells) or, where that would smear the probability over the
-        raster's border, the half of it, a quarter and so on.
+        mean ground area of its cells) or, where these are few or would smear the probability over
+        the raster's border, the half of it, a quarter and so on.
     origin : GeoOrigin, optional
         Where to measure local metres from; the centre of the raster by default.
 
@@ -124,7 +127,7 @@ def load_geotiff(
         return RasterMap(_warp(values, crs, transform, frame, grid), grid)
 
     if cell is None:
-        pdm, inside = _fine_enough(warped, own_cell, footprint)
+        pdm, inside = _fine_enough(warped, values.size, own_cell, footprint)
     else:
         pdm = warped(1, positive(cell, "cell"))
         inside = pdm.integrate(footprint)
@@ -145,14 +148,16 @@ def load_geotiff(
 
 
 def _fine_enough(
-    warped: Callable[[int, float], RasterMap], own_cell: float, footprint: Polygon
+    warped: Callable[[int, float], RasterMap], count: int, own_cell: float, footprint: Polygon
 ) -> tuple[RasterMap, float]:
-    """Warp to the coarsest cells that keep the probability within the border of the raster.
+    """Warp to cells that keep the probability within the border of the raster, but to few.
 
     Parameters
     ----------
     warped : callable
         Warps to cells of so many parts to a side of the raster's own, and so many metres.
+    count : int
+        Number of the raster's own cells.
     own_cell : float
         Side of the raster's own cells, m.
     footprint : Polygon
@@ -165,7 +170,8 @@ def _fine_enough(
     inside : float
         The probability that it has in the footprint.
     """
-    parts = 1
+    # Parts draw a turned or oblong cell truer, also along an area's border within the raster.
+    parts = max(n for n in (1, 2, 4, 8) if n == 1 or count * n**2 <= _CHEAP_CELLS)
     while True:
         pdm = warped(parts, own_cell / parts)
         inside = pdm.integrate(footprint)

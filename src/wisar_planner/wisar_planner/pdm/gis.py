@@ -56,7 +56,8 @@ def load_map(
         GeoJSON file (WGS84 degrees, RFC 7946) whose polygons are the search area, instead of the
         footprint of the raster or the area in the mixture's file.
     cell : float, optional
-        Side of the cells of a raster map in metres; the raster's own by default.
+        Side of the cells of a raster map in metres; by default the raster's own, or a part of it
+        where these are coarse (`wisar_planner.pdm.geotiff.load_geotiff`).
     origin : GeoOrigin, optional
         Where to measure local metres from; by default the centre of a raster, or what a mixture's
         file says. A YAML mixture is in metres and always has its own.
