@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.mavlink.client import LinkError, MissionClient
 from wisar_planner.mavlink.dialect import PX4
+from wisar_planner.mavlink.link_estimate import RetryPolicy
 from wisar_planner.mavlink.mission import MissionKind, build_mission
 from wisar_planner.mavlink.transfer import UploadCode
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
@@ -317,9 +318,9 @@ def test_closing_in_the_middle_of_an_upload_puts_an_ardupilots_mission_back(star
 
 def test_a_mixture_is_not_started(start):
     process = start("--profile", "ardupilot", "--delay-s", "0.02")
-    with client_of(process) as client:
+    with client_of(process, policy=RetryPolicy(max_tries=12, patience_s=4.0)) as client:
         client.wait_heartbeat()
-        assert client.upload(MISSION).verified
+        wait_for(lambda: client.upload(MISSION).verified)  # it has no space just after its start
         seen = []
 
         def progress(now):
@@ -335,7 +336,7 @@ def test_a_mixture_is_not_started(start):
         client.arm()
         with pytest.raises(LinkError, match="upload again first"):
             client.start_mission()
-        assert client.upload(MISSION).verified
+        wait_for(lambda: client.upload(MISSION).verified)  # once it has given the last one up
         client.start_mission()
 
 
