@@ -97,19 +97,20 @@ class _Executor(MultiThreadedExecutor):
             if self._guard is not None:  # a late failure, after `shutdown`
                 self._guard.trigger()
 
-    def finish_tasks(self, timeout_s: float) -> None:
-        """Wait, while others spin, until what was begun beside callbacks has ended.
+    def finish_tasks(self, spinning: threading.Thread, timeout_s: float) -> bool:
+        """Wait, while a thread spins, until what was begun beside callbacks has ended.
 
         Goals of actions and the sending of their results are such tasks; rclpy's own account of
-        work leaves them out.
+        work leaves them out. Return whether none is at work any more.
         """
         deadline = time.monotonic() + timeout_s
-        while self._has_tasks() and not self._is_shutdown and time.monotonic() < deadline:
+        while spinning.is_alive() and self._tasks_left() and time.monotonic() < deadline:
             time.sleep(0.01)
+        return not any(task.executing() for task in self._tasks_left())
 
-    def _has_tasks(self) -> bool:
+    def _tasks_left(self) -> list[Task]:
         with self._tasks_lock:
-            return any(entity is None and not task.done() for task, entity, _ in self._tasks)
+            return [task for task, entity, _ in self._tasks if entity is None and not task.done()]
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Wait for callbacks at work, after `stop` and `spin`; return whether they ended."""
@@ -208,10 +209,10 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(node, "close"):
         cast(Closeable, node).close()
-    executor.finish_tasks(_PATIENCE_S)
+    finished = executor.finish_tasks(spinning, _PATIENCE_S)
     # The pool of threads must not end before what hands it work.
     executor.stop()
     spinning.join(_PATIENCE_S)
-    if not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S):
+    if finished and not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S):
         node.destroy_node()
     return executor.failure
