@@ -7,6 +7,7 @@ flown: simulators only.
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import time
 from collections.abc import Iterator
@@ -18,9 +19,10 @@ import yaml
 from pymavlink import mavutil
 from std_srvs.srv import Trigger
 
-from wisar_msgs.msg import MissionStatus
+from wisar_msgs.msg import MissionStatus, ProbabilityMap, SearchPlan
 from wisar_planner.mavlink.client import MissionClient
 from wisar_planner.mavlink.mission import Mission
+from wisar_planner.nodes.qos import LATCHED
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_sim.nodes.operator import Operator
 from wisar_sim.processes import executable, free_udp_port, only_one
@@ -148,6 +150,48 @@ def test_two_vehicles_each_get_the_mission_of_their_namespace(suite, mixture_fil
             lambda: {o.mission.state for o in (north, south)} == {MissionStatus.VERIFIED},
             "both missions verified",
         )
+
+
+def test_a_map_that_comes_after_its_plan_completes_files_and_tracking(
+    suite, mixture_file, tmp_path
+) -> None:
+    """Topics keep no order; and an older map that is sent again takes the place of none."""
+    suite.start_autopilot("--speed-up", "10")
+    suite.start_map(mixture_file)
+    suite.start_planner(max_distance=800.0)
+    suite.wait_for_plan()
+    written = tmp_path / "late.plan"
+    connection = f"udpout:127.0.0.1:{suite.port}"
+    suite.start(
+        "wisar_planner", "mavlink_bridge", "late", connection=connection, plan_files=str(written)
+    )
+    with Operator("late", domain=suite.domain) as late:
+        node = late.node
+        plans = node.create_publisher(SearchPlan, "plan", LATCHED)
+        maps = node.create_publisher(ProbabilityMap, "pdm", LATCHED)
+        plans.publish(suite.operator.plan)
+        suite.wait(late.can_upload, "the bridge's link and the plan")
+        late.request_upload()
+        suite.wait(lambda: late.upload_result, "the upload's end")
+        assert late.upload_result.error_code == 0, late.upload_result.error_text
+        written.unlink()
+        assert suite.set_parameter("fence", True, node="late/mavlink_bridge").successful
+        plans.publish(suite.operator.plan)
+        suite.wait(lambda: "plan files wait for the map" in suite.log("latemavlink_bridge"), "word")
+        assert not written.exists()
+        maps.publish(suite.operator.map)
+        suite.wait(written.exists, "the plan file")
+        older = copy.deepcopy(suite.operator.map)
+        older.header.stamp.sec -= 1000
+        older.id = "older"
+        maps.publish(older)
+        suite.wait(lambda: "is older than" in suite.log("latemavlink_bridge"), "the older map")
+        for name in ("late/arm", "late/start_mission"):
+            answer = call(suite, name)
+            assert answer.success, answer.message
+        suite.wait(lambda: late.mission.state == MissionStatus.COMPLETED, "the flight's end")
+        plan = suite.operator.plan
+        assert late.mission.probability == pytest.approx(plan.probability[-1], rel=0.15)
 
 
 def test_unsafe_missions_are_refused_before_the_upload(suite, mixture_file, tmp_path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -28,6 +29,7 @@ from wisar_planner.mavlink.transfer import UploadProgress
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import LocatedMap, Plan
+from wisar_planner.nodes.latest_map import LatestMap
 from wisar_planner.nodes.qos import LATCHED
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.pdm.geodesy import LocalFrame
@@ -48,8 +50,11 @@ class MavlinkBridge(Node):
         super().__init__("mavlink_bridge")
         self._declare_parameters()
         self._plan: Plan | None = None
-        self._map: LocatedMap | None = None
-        self._tracker: FlightTracker | None = None  # of the mission that was last verified
+        self._maps = LatestMap(self)
+        self._map: LocatedMap | None = None  # of the last plan; the last one until that is here
+        self._verified: tuple[Plan, Mission] | None = None  # what the vehicle holds
+        self._tracker: FlightTracker | None = None  # of that
+        self._unwritten = False  # whether plan files wait for the plan's map
         self._state = MissionStatus.NO_LINK
         self._text = "no heartbeat heard yet"
         self._map_id = ""
@@ -81,7 +86,9 @@ class MavlinkBridge(Node):
         for name in ("arm", "start_mission", "pause", "resume", "return_to_launch"):
             request = self._explicit_request(getattr(self._client, name))
             self.create_service(Trigger, name, request, callback_group=group)
-        self.create_timer(STATUS_PERIOD, self._publish_status)
+        # By the steady clock: a vehicle's link is lost in real time, whatever time is simulated.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STATUS_PERIOD, self._publish_status, clock=steady)
 
     def close(self) -> None:
         """End the connection; an upload under way is cancelled, see `MissionClient.close`."""
@@ -178,9 +185,23 @@ class MavlinkBridge(Node):
 
     def _on_map(self, message: ProbabilityMap) -> None:
         try:
-            self._map = conversions.map_from_msg(message)
+            located = self._maps.take(message)
         except InvalidInput as error:
             self.get_logger().error(f"map refused, the last good map stays: {error}")
+            return
+        if located is None:
+            return
+        if self._plan is None or self._map_of(self._plan) is None or self._is_of_plan(located):
+            self._map = located
+        # Topics keep no order: what needs the map may have come before it.
+        if self._unwritten and self._is_of_plan(located):
+            self._write_plan_files()
+        if self._tracker is None and self._verified is not None:
+            self._track(*self._verified)
+        self._publish_status()
+
+    def _is_of_plan(self, located: LocatedMap) -> bool:
+        return self._plan is not None and self._plan.map_id == located.map_id
 
     def _on_plan(self, message: SearchPlan) -> None:
         try:
@@ -189,19 +210,34 @@ class MavlinkBridge(Node):
             self.get_logger().error(f"plan refused, the last good plan stays: {error}")
             return
         self._plan = plan
+        newest = self._maps.current
+        if newest is not None and self._is_of_plan(newest):
+            self._map = newest
         self._publish_status()
         self.get_logger().info(
             f"plan of map {plan.map_id!r} with {len(plan.path.waypoints)} waypoints: "
             "call upload_mission to put it on the vehicle"
         )
-        for name in filter(None, self._value("plan_files").split(",")):
+        self._write_plan_files()
+
+    def _write_plan_files(self) -> None:
+        """Write the files of the last plan; with a fence they wait for its map."""
+        plan = self._plan
+        names = [name.strip() for name in self._value("plan_files").split(",") if name.strip()]
+        if plan is None or not names:
+            return
+        self._unwritten = bool(self._value("fence")) and self._map_of(plan) is None
+        if self._unwritten:
+            self.get_logger().info(f"plan files wait for the map {plan.map_id!r} and its area")
+            return
+        for name in names:
             try:
                 mission = self._mission(plan)
-                write_plan_file(Path(name.strip()), mission)
+                write_plan_file(Path(name), mission)
             except (InvalidInput, OSError) as error:
                 self.get_logger().error(f"plan file not written: {error}")
             else:
-                text = "; ".join((f"plan file {name.strip()} written", *mission.cautions))
+                text = "; ".join((f"plan file {name} written", *mission.cautions))
                 self.get_logger().info(text)
 
     def _mission(self, plan: Plan) -> Mission:
@@ -299,7 +335,7 @@ class MavlinkBridge(Node):
             clear_old=self._value("clear_old"),
         )
         if outcome.verified:
-            self._map_id = plan.map_id
+            self._map_id, self._verified = plan.map_id, (plan, mission)
             self._track(plan, mission)
             count = len(mission.items)
             notes = (*outcome.notes, *mission.cautions)
@@ -309,12 +345,12 @@ class MavlinkBridge(Node):
             goal.succeed()
             return Result(error_code=Result.NONE, error_text="; ".join(notes), items=count)
         if not outcome.old_counts:  # nobody knows what the vehicle would fly now
-            self._map_id, self._tracker = "", None
+            self._map_id, self._verified, self._tracker = "", None, None
         text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))
         self.get_logger().error(f"upload failed: {text}")
-        if int(outcome.code) in (Result.BUSY, Result.UNSAFE):  # the mission was not touched
+        if int(outcome.code) == Result.UNSAFE:  # the mission was not touched
             self._set_state(*before)
-        else:
+        elif int(outcome.code) != Result.BUSY:  # the state is that of the other upload
             self._set_state(MissionStatus.FAILED, text, (0, len(mission.items)))
         if int(outcome.code) == Result.CANCELED and goal.is_cancel_requested:
             goal.canceled()
