@@ -93,7 +93,11 @@ class MavlinkBridge(Node):
     def close(self) -> None:
         """End the connection; an upload under way is cancelled, see `MissionClient.close`."""
         self._client.close()
+
+    def destroy_node(self) -> None:
+        """Destroy the action as well, which rclpy leaves to the node's owner."""
         self._action.destroy()
+        super().destroy_node()
 
     def _declare_parameters(self) -> None:
         def declare(name: str, default: bool | int | float | str, text: str, **limits: Any) -> None:
