@@ -101,11 +101,12 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, target:
     assert "terrain is not checked" in result.error_text
     assert not operator.mission.armed
     deadline = time.monotonic() + patience
-    while not (answer := call(suite, "arm")).success:  # a real one checks its sensors first
+    while not (
+        (answer := call(suite, "arm")).success
+        and (answer := call(suite, "start_mission")).success
+    ):  # a real one checks its sensors first, and waits for its position
         assert time.monotonic() < deadline, answer.message
         time.sleep(2.0)
-    answer = call(suite, "start_mission")
-    assert answer.success, answer.message
     suite.wait(lambda: operator.mission.state == MissionStatus.FLYING, "the flight")
     assert operator.mission.armed
     suite.wait(
@@ -158,7 +159,7 @@ def test_a_map_that_comes_after_its_plan_completes_files_and_tracking(
     """Topics keep no order; and an older map that is sent again takes the place of none."""
     suite.start_autopilot("--speed-up", "10")
     suite.start_map(mixture_file)
-    suite.start_planner(max_distance=800.0)
+    suite.start_planner(max_distance=300.0)
     suite.wait_for_plan()
     written = tmp_path / "late.plan"
     connection = f"udpout:127.0.0.1:{suite.port}"

@@ -285,10 +285,12 @@ def test_arming_and_start_are_given_up_soon(name):
 
 @pytest.mark.parametrize("mode", [IN_MISSION, RETURNING, TAKEOFF])
 def test_a_vehicle_that_would_fly_off_is_not_armed(mode):
+    """It is put into hold first; one that stays in the mode is not armed."""
     with talking_to(acknowledge, custom_mode=mode) as (vehicle, client):
-        with pytest.raises(LinkError, match="call pause first"):
+        with pytest.raises(LinkError, match="acknowledged, but"):
             client.arm()
-        assert vehicle.commands() == []
+        assert {m.command for m in vehicle.commands()} == {mav.MAV_CMD_DO_SET_MODE}
+        assert not vehicle.armed
 
 
 def test_resume_needs_an_armed_vehicle_in_the_air():

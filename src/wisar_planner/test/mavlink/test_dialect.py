@@ -150,6 +150,17 @@ def test_a_copter_left_in_a_mode_of_flight_is_put_into_guided_to_be_armed(mode, 
         assert len(commands_for(Intent.ARM, *other, mode)) == 1
 
 
+@pytest.mark.parametrize(("sub_mode", "steps"), [(2, 2), (3, 1), (4, 2), (5, 2), (6, 1)])
+def test_px4_left_in_a_mode_of_flight_is_put_into_hold_to_be_armed(sub_mode, steps):
+    """After a landing the real one is in AUTO.MISSION again."""
+    px4 = (mav.MAV_AUTOPILOT_PX4, mav.MAV_TYPE_QUADROTOR)
+    commands = commands_for(Intent.ARM, *px4, 4 << 16 | sub_mode << 24)
+    assert len(commands) == steps
+    assert commands[-1] == (mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+    if steps == 2:
+        assert commands[0] == (mav.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 3.0))
+
+
 def test_copters_pause_without_a_throttle_stick():
     ((_, (_, mode, _)),) = commands_for(
         Intent.PAUSE, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, mav.MAV_TYPE_QUADROTOR

@@ -360,9 +360,9 @@ class MissionClient:
     def arm(self) -> None:
         """Arm the motors.
 
-        A copter of ArduPilot that still is in the mode of an earlier flight, in which it cannot
-        be armed, is put into GUIDED first. Others are not armed in a mode in which they would fly
-        off at once.
+        A vehicle may still be in the mode of an earlier flight: a copter of ArduPilot, which cannot
+        be armed in it, is put into GUIDED first, PX4, which would fly off at once, into hold.
+        Others are not armed in a mode in which they would fly off.
 
         Raises
         ------

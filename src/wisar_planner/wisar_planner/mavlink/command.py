@@ -86,7 +86,10 @@ class _Request:
 
 
 class Clear(_Request):
-    """State machine that empties one list (MISSION_CLEAR_ALL).
+    """State machine that empties one list.
+
+    By MISSION_CLEAR_ALL, or by announcing none: a MISSION_COUNT ends a transfer that was cut short,
+    during which ArduPilot 4.6 refuses to clear for another 8 s.
 
     Parameters
     ----------
@@ -94,14 +97,28 @@ class Clear(_Request):
         Which of the autopilot's lists to empty.
     target
         The autopilot.
+    announces_none
+        Whether to announce none instead of clearing.
     """
 
-    def __init__(self, kind: MissionKind, target: Address, *, link: LinkEstimate) -> None:
+    def __init__(
+        self,
+        kind: MissionKind,
+        target: Address,
+        *,
+        link: LinkEstimate,
+        announces_none: bool = False,
+    ) -> None:
         super().__init__(link)
         self._kind = kind
         self._target = target
+        self._announces_none = announces_none
 
     def _message(self) -> Message:
+        if self._announces_none:
+            return mav.MAVLink_mission_count_message(
+                self._target.system, self._target.component, 0, self._kind
+            )
         return mav.MAVLink_mission_clear_all_message(
             self._target.system, self._target.component, self._kind
         )

@@ -67,6 +67,10 @@ def commands_for(
         copter = autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA and vehicle_type not in _PLANE_TYPES
         if intent is Intent.ARM and copter and custom_mode in _COPTER_NOT_ARMABLE:
             return (_set_mode(_COPTER_GUIDED), arm)
+        # After the landing PX4 is back in the mode of the flight; armed in it, it would fly off.
+        px4 = autopilot == mav.MAV_AUTOPILOT_PX4
+        if intent is Intent.ARM and px4 and flies_by_itself(autopilot, vehicle_type, custom_mode):
+            return (_set_mode(_PX4_AUTO, _PX4_SUB_MODES[Intent.PAUSE]), arm)
         return (arm,)
     start = (mav.MAV_CMD_MISSION_START, (0.0, 0.0))
     if autopilot == mav.MAV_AUTOPILOT_PX4:

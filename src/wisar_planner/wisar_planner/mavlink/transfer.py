@@ -260,7 +260,9 @@ class ListTransfer:
             )
         else:
             self.old_counts = False
-            self._sender = Clear(self._kind, self._target, link=self._links.asking)
+            self._sender = Clear(
+                self._kind, self._target, link=self._links.asking, announces_none=self._in_place
+            )
         return self._sender.start(now)
 
     def _sent(self, count: int) -> None:

@@ -436,3 +436,16 @@ def test_an_empty_mission_clears():
     setup.upload(mission())
     assert setup.upload(Mission()).verified
     assert setup.holds(Mission())
+
+
+def test_an_empty_list_that_is_overwritten_in_place_is_emptied_again_at_once():
+    """While it receives, ArduPilot refuses to clear; it takes the announcement of none."""
+    setup = Setup("ardupilot")
+    transfer = setup.transfer(mission(40))
+    setup.talk.run(transfer, until=setup.talk.now + 1.0)
+    assert len(setup.server.lists[0]) > 0
+    began = setup.talk.now
+    setup.talk._send_up(transfer.cancel(setup.talk.now))
+    setup.talk.go_on(transfer)
+    assert setup.server.lists[0] == ()
+    assert setup.talk.now - began < 3.0

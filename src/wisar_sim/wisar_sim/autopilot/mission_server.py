@@ -201,6 +201,7 @@ class MissionServer:
         if count > self.profile.capacity or now - self._booted_at < self.profile.boot_s:
             return [_ack(mav.MAV_MISSION_NO_SPACE, kind, client)]
         if count == 0:
+            self._receiving = None
             return self._replace(kind, (), client)
         self._receiving = _Receiving(client, kind, count, heard=now, asked=now)
         if self._in_place(kind):
