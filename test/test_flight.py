@@ -102,8 +102,7 @@ def test_a_mission_is_flown_when_asked_and_followed(suite, mixture_file, target:
     assert not operator.mission.armed
     deadline = time.monotonic() + patience
     while not (
-        (answer := call(suite, "arm")).success
-        and (answer := call(suite, "start_mission")).success
+        (answer := call(suite, "arm")).success and (answer := call(suite, "start_mission")).success
     ):  # a real one checks its sensors first, and waits for its position
         assert time.monotonic() < deadline, answer.message
         time.sleep(2.0)

@@ -23,7 +23,8 @@ class SearchProblem:
     pdm : ProbabilityMap
         Where the missing person may be.
     area : SearchArea
-        Where to search; waypoints stay inside it.
+        Where to search; waypoints and the legs between them stay inside it. Only patterns fly
+        across the ground between separate parts.
     start : (2,) array_like
         Where the search begins, m; inside `area` or on its border.
     step_length : float
