@@ -269,6 +269,11 @@ def test_a_return_is_sent_at_once_whatever_else_waits_for_an_answer(suite) -> No
         waiting = [clients["pause"].call_async(Trigger.Request()) for _ in range(6)]
         waiting += [clients["resume"].call_async(Trigger.Request()) for _ in range(6)]
         suite.wait(lambda: connected() and PX4_HOLD in modes, "the pause")
+        # Services keep no order among each other: until they are taken, the return is not the last.
+        suite.wait(
+            lambda: connected() and sum(each.done() for each in waiting) >= len(waiting) - 1,
+            "the answers of all but the last pause",
+        )
         waiting.append(clients[RETURN].call_async(Trigger.Request()))
         suite.wait(lambda: connected() and PX4_RETURN in modes, "the return", 6.0)
         last = len(modes)

@@ -189,6 +189,7 @@ class MissionClient:
         self._urgent_lock = threading.Lock()
         self._urgent = 0, ""
         """How many requests waited for nothing so far, and the last one in words."""
+        self._urgent_in_progress = 0
         self._uploading = threading.Lock()
         self._starting = False
         self._doubtful = False  # whether the last upload left a mission that nobody has verified
@@ -452,8 +453,11 @@ class MissionClient:
         with self._urgent_lock:
             if urgent:
                 self._urgent = self._urgent[0] + 1, words
+                self._urgent_in_progress += 1
             mine = self._urgent[0]
-        if not urgent and not self._requesting.acquire(blocking=False):
+            # Topics and services keep no order: a late `resume` must not undo a return under way.
+            refused = not urgent and self._urgent_in_progress > 0
+        if refused or (not urgent and not self._requesting.acquire(blocking=False)):
             raise LinkError(
                 f"{words}: another request to the vehicle is in progress; wait for its answer"
             )
@@ -466,7 +470,10 @@ class MissionClient:
         try:
             yield check
         finally:
-            if not urgent:
+            if urgent:
+                with self._urgent_lock:
+                    self._urgent_in_progress -= 1
+            else:
                 self._requesting.release()
 
     @contextlib.contextmanager
