@@ -129,7 +129,11 @@ def leg_inside(area: AreaRaster, x0: float, y0: float, x1: float, y1: float) -> 
 
 @njit(cache=True, nogil=True)
 def _clear_of_border(area: AreaRaster, x0: float, y0: float, x1: float, y1: float) -> bool:
-    """Return whether a leg meets no cell that an edge touches, looking at every cell of it."""
+    """Return whether a leg is sure to meet no edge.
+
+    It looks once per cell of the leg's length; an edge between two looks is seen by the border
+    cells about it.
+    """
     rows, columns = area.kinds.shape
     looks = 1 + math.ceil(math.hypot(x1 - x0, y1 - y0))
     for k in range(looks + 1):
