@@ -9,6 +9,7 @@ when that has changed; a second run takes a fraction of a second.
     environment   requirements*.txt, the Python version .venv/
     cmake paths   the ROS 2 wheels                      .venv/share/**/*.cmake, rewritten
     build         src/**                                build/, install/
+    bytecode      all that is installed                 __pycache__ of what is used
     kernels       the compiled kernels                  .cache/numba/
 
 Where a ROS 2 Jazzy installation is sourced (ROS_DISTRO=jazzy and an
@@ -56,6 +57,7 @@ def main() -> int:
         if arguments.bench:
             install_extra("bench", "the benchmark's peers")
         build_packages()
+        keep_bytecode()
         compile_kernels()
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
@@ -246,10 +248,30 @@ def link_command(name: str) -> None:
     link.symlink_to(INSTALL / "lib" / "wisar_planner" / name)
 
 
+def installed_sources(package: str) -> list[Path]:
+    """Return the installed modules of a package."""
+    packages = next(INSTALL.glob("lib/python3*/site-packages"))
+    return sorted(packages.glob(f"{package}/**/*.py"))
+
+
+def keep_bytecode() -> None:
+    """Load all modules once, so that no node compiles them at its start; see load_modules.py."""
+    names = ("wisar_planner", "wisar_sim")
+    installed = [path.read_text() for path in sorted(VENV.glob(".wisar*-stamp"))]
+    sources = [path for name in names for path in installed_sources(name)]
+    key = digest(sources, *installed, str(ROOT))
+    stamp = VENV / ".bytecode-stamp"
+    if is_current(stamp, key):
+        return
+    announce("loading all modules once")
+    load = f"python '{ROOT}/scripts/load_modules.py' {' '.join(names)}"
+    run(["bash", "-c", f". '{ROOT}/env.sh' && exec {load}"], "modules")
+    stamp.write_text(key)
+
+
 def compile_kernels() -> None:
     """Compile the numerical kernels into the cache, so that no node waits for it."""
-    packages = next(INSTALL.glob("lib/python3*/site-packages"))
-    sources = sorted(packages.glob("wisar_planner/**/*.py"))
+    sources = installed_sources("wisar_planner")
     key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))
     stamp = ROOT / ".cache" / "numba" / ".wisar-stamp"
     if is_current(stamp, key):

@@ -137,3 +137,15 @@ def test_the_checkout_sourced_last_wins(tmp_path: Path) -> None:
         assert folders[0].startswith(f"{ROOT}/"), name
         assert len(folders) == len(set(folders)), name
         assert any(folder.startswith(f"{tmp_path}/") for folder in folders), name
+
+
+def test_loaded_modules_keep_their_bytecode_where_python_is_to_write_none(tmp_path: Path) -> None:
+    package = tmp_path / "some_package"
+    package.mkdir()
+    for name, text in (("__init__", ""), ("part", "import json"), ("extra", "import not_there")):
+        (package / f"{name}.py").write_text(text)
+    command = [sys.executable, str(ROOT / "scripts" / "load_modules.py"), "some_package"]
+    environment = {"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+    subprocess.run(command, env=environment, check=True)
+    kept = {path.name.partition(".")[0] for path in (package / "__pycache__").iterdir()}
+    assert kept == {"__init__", "part", "extra"}

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array, positive
@@ -175,7 +174,7 @@ class GaussianMixture:
         deviations = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
         x = (grid.x_edges[:, None] - self.means[:, 0]) / deviations[:, 0]
         y = (grid.y_edges[:, None] - self.means[:, 1]) / deviations[:, 1]
-        across, up = np.diff(ndtr(x), axis=0), np.diff(ndtr(y), axis=0)
+        across, up = (np.diff(kernels.normal(edges), axis=0) for edges in (x, y))
         return np.asarray((up * self.weights) @ across.T)
 
     def most_probable_mass(self, region: Polygon | MultiPolygon, area: float) -> float:

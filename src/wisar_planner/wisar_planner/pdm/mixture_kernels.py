@@ -49,6 +49,15 @@ def density(points: FloatArray, components: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
+def normal(values: FloatArray) -> FloatArray:
+    """Return the standard normal's distribution function at `values`, (N, K)."""
+    out = np.empty_like(values)
+    for index, value in np.ndenumerate(values):
+        out[index] = 0.5 * math.erfc(-_ROOT_HALF * value)
+    return out
+
+
+@njit(cache=True)
 def integrate_boundary(
     pieces: FloatArray,
     owners: npt.NDArray[np.int64],

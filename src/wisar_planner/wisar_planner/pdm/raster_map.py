@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
@@ -129,9 +128,9 @@ class RasterMap:
         Cells give by the share of them that a new cell covers: exact, and mass is kept wherever
         `grid` covers this map.
         """
-        across = _overlap(self.grid.x_edges, grid.x_edges)
-        up = _overlap(self.grid.y_edges, grid.y_edges)
-        return np.ascontiguousarray((across @ (up @ self.probability).T).T)
+        rows = _shared_out(self.probability, self.grid.y_edges, grid.y_edges)
+        cells = _shared_out(np.ascontiguousarray(rows.T), self.grid.x_edges, grid.x_edges)
+        return np.ascontiguousarray(cells.T)
 
     def most_probable_mass(self, region: Polygon | MultiPolygon, area: float) -> float:
         """Return the mass of the most probable part of `region` of `area` m^2.
@@ -177,20 +176,31 @@ class RasterMap:
         )
 
 
-def _overlap(old: FloatArray, new: FloatArray) -> csr_array:
-    """Return the share of each old interval that lies in each new one, (new, old).
+def _shared_out(amounts: FloatArray, old: FloatArray, new: FloatArray) -> FloatArray:
+    """Return what each new interval gets of the amounts in old ones, by the shares it covers.
 
     Parameters
     ----------
-    old, new : (n + 1,) float64
+    amounts : (n, m) float64
+        What the old intervals hold.
+    old, new : (n + 1,), (k + 1,) float64
         Borders between intervals, rising.
+
+    Returns
+    -------
+    (k, m) float64
     """
     borders = np.union1d(old, new)
     low, high = max(old[0], new[0]), min(old[-1], new[-1])
     borders = borders[(borders >= low) & (borders <= high)]
+    shared = np.zeros((len(new) - 1, amounts.shape[1]))
+    if len(borders) < 2:
+        return shared
     # Each piece between two borders lies in one interval of either kind.
     middle = 0.5 * (borders[:-1] + borders[1:])
     within = np.searchsorted(old, middle, side="right") - 1
     into = np.searchsorted(new, middle, side="right") - 1
     share = np.diff(borders) / np.diff(old)[within]
-    return csr_array((share, (into, within)), shape=(len(new) - 1, len(old) - 1))
+    firsts = np.flatnonzero(np.diff(into, prepend=-1))
+    shared[into[firsts]] = np.add.reduceat(amounts[within] * share[:, None], firsts, axis=0)
+    return shared

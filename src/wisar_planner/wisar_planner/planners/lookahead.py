@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.planners.base import (
@@ -253,7 +253,8 @@ def _blocks(problem: SearchProblem, raster: SearchRaster) -> tuple[FloatArray, f
     weight = np.where(inside, weight, 0.0)
     distance = np.hypot(*(centres - start).transpose(2, 0, 1))
     worth = weight * np.maximum(0.0, 1.0 - distance / (raster.step * max(problem.steps, 1)))
-    peaks = (weight == maximum_filter(weight, 3)) & (worth > 0.05 * worth.max())
+    around = sliding_window_view(np.pad(weight, 1), (3, 3)).max(axis=(2, 3))
+    peaks = (weight == around) & (worth > 0.05 * worth.max())
     order = np.flatnonzero(inside)
     targets = np.flatnonzero(peaks.ravel()[order])
     targets = targets[np.argsort(-worth.ravel()[order][targets], kind="stable")][:_MOST_TARGETS]

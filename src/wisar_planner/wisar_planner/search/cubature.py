@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.special import roots_jacobi, roots_legendre
+from numpy.polynomial.legendre import leggauss, legroots, legvander
 from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import FloatArray, InvalidInput, positive
@@ -119,11 +119,24 @@ class _Rule:
     weights: FloatArray
 
 
+def gauss_jacobi(n: int) -> tuple[FloatArray, FloatArray]:
+    """Return n >= 2 nodes and weights of Gauss quadrature on (-1, 1) with the weight 1 - x.
+
+    SciPy has it, too, but takes a node as long to import as everything else together. The nodes are
+    the zeros of (P_n - P_n+1) / (1 - x) with Legendre's polynomials P (Szego 1939, 4.5.4).
+    """
+    zeros = legroots([0.0] * n + [1.0, -1.0])
+    x = np.sort(zeros.real)[:-1]
+    moments = np.zeros(n)
+    moments[:2] = 2.0, -2.0 / 3.0
+    return x, np.linalg.solve(legvander(x, n - 1).T, moments)
+
+
 def _conical_rule(n: int) -> _Rule:
     """Return the conical product rule of n x n nodes, of degree 2 n - 1 (Stroud 1971, 2.6)."""
     # Gauss-Jacobi across the triangle takes up the shrinking width, Gauss-Legendre runs along it.
-    x, wx = roots_jacobi(n, 1.0, 0.0)
-    y, wy = roots_legendre(n)
+    x, wx = gauss_jacobi(n)
+    y, wy = leggauss(n)
     s, t = np.meshgrid(0.5 * (1.0 + x), 0.5 * (1.0 + y), indexing="ij")
     second = t * (1.0 - s)
     nodes = np.stack([1.0 - s - second, s, second], axis=-1).reshape(-1, 3)
