@@ -244,6 +244,13 @@ def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(
         suite.wait(lambda: connected() and operator.upload_result, "the bridge's answer")
         assert operator.upload_result.error_code == operator.upload_result.UNSAFE
         assert "position is not known" in operator.upload_result.error_text
+        for number, chunk in enumerate(
+            (b"PreArm: 3D fix needed before the motors may turn, ", b"wait")
+        ):
+            vehicle.mav.statustext_send(mavutil.mavlink.MAV_SEVERITY_CRITICAL, chunk, 7, number)
+        said = "the vehicle says: PreArm: 3D fix needed before the motors may turn, wait"
+        suite.wait(lambda: connected() and said in suite.log("mavlink_bridge"), "what it says")
+        assert suite.log("mavlink_bridge").count("the vehicle says") == 1
     finally:
         vehicle.close()
 

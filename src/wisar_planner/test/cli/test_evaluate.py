@@ -121,6 +121,11 @@ def test_wrong_options_are_refused(wrong):
         (["--planner", "lawnmower", "--start", "1,2,3"], "start"),
         (["--planner", "lawnmower", "--start", "900,2"], "start"),
         (["--planner", "lawnmower", "--config", "missing.yaml"], "missing.yaml"),
+        (["--planner", "lawnmower", "--json", "/proc/nowhere/out.json"], "/proc/nowhere"),
+        (["--planner", "lawnmower", "--markdown", "/proc"], "is a folder"),
+        (["--planner", "lawnmower", "--figures", "/dev/null/figures"], "--figures"),
+        (["--planner", "lawnmower", "--json", "a.json", "--markdown", "./a.json"], "same file"),
+        (["--planner", "lawnmower", "--map", "a.tif", "--json", "a.tif"], "same file"),
     ],
 )
 def test_mistakes_are_named_in_one_line(capsys, arguments, named):

@@ -47,6 +47,15 @@ origins = st.builds(
 )
 
 
+@pytest.mark.parametrize("suffix", [".geojson", ".yaml"])
+def test_a_byte_order_mark_does_not_matter(tmp_path, suffix):
+    path = tmp_path / f"map{suffix}"
+    mixture = GaussianMixture([1.0], [[0.0, 0.0]], [100.0 * np.eye(2)])
+    save_mixture(path, mixture, shapely.box(-50.0, -50.0, 50.0, 50.0), GeoOrigin(56.7, -5.0))
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load_map(path).origin.latitude == 56.7
+
+
 @settings(max_examples=40, deadline=None)
 @given(mixtures(), areas(), origins, st.sampled_from([".geojson", ".json", ".yaml", ".yml"]))
 def test_what_is_saved_is_loaded_again(tmp_path_factory, mixture, area, origin, suffix):

@@ -125,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.evaluation.tables import markdown
 
     planners = planner_specs(args.planner, args.option)
+    _check_outputs(args)
     if args.worlds:
         from wisar_planner.cli.evaluate_worlds import run_worlds
 
@@ -154,9 +155,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"\n{gap_markdown(results['gap'])}", end="")
         table += "\n" + gap_markdown(results["gap"])
     if args.json:
-        _write(args.json, json.dumps(results, indent=1, allow_nan=False) + "\n")
+        args.json.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", "utf-8")
     if args.markdown:
-        _write(args.markdown, table)
+        args.markdown.write_text(table, "utf-8")
     if args.figures:
         from wisar_planner.evaluation.figures import save_figures
 
@@ -165,6 +166,23 @@ def run(args: argparse.Namespace) -> int:
     if keep is not None and not args.resume:
         keep.unlink()
     return 0
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Refuse what cannot be written, or would overwrite what is read, before the runs."""
+    from wisar_planner.cli.output_files import check_names, make_places
+
+    read = {"--config": args.config, "--map": args.map, "--area": args.area}
+    read |= {"--worlds": args.worlds, "--resume": args.resume}
+    written = [("--json", args.json), ("--markdown", args.markdown)]
+    outputs = [(option, path) for option, path in written if path is not None]
+    check_names(
+        {name: path for name, path in read.items() if path is not None},
+        [(option, path, ()) for option, path in outputs],
+    )
+    if args.figures and not args.worlds:
+        outputs.append(("--figures", args.figures / "efficiency_over_distance.png"))
+    make_places(outputs)
 
 
 def planner_specs(names: str, assignments: list[str]) -> list[PlannerSpec]:
@@ -304,8 +322,3 @@ def _print_table(results: dict[str, Any]) -> None:
     console = Console() if sys.stdout.isatty() else Console(width=160)
     console.print(table)
     console.print(caption(results), style="dim", highlight=False)
-
-
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")

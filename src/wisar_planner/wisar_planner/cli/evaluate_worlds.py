@@ -56,7 +56,6 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
         (args.markdown, table),
     ):
         if path:
-            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
     if keep is not None and not args.resume:
         for file in keep.glob("runs-*.jsonl"):

@@ -117,7 +117,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, write the files and print the summary."""
-    from wisar_planner.cli.plan_files import check_names, make_places, write_each
+    from wisar_planner.cli.output_files import check_names, make_places, write_each
     from wisar_planner.cli.plan_notes import notes_on_path
     from wisar_planner.errors import InvalidInput, positive
     from wisar_planner.pdm.gis import load_map

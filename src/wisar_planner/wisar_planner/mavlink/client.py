@@ -49,7 +49,7 @@ _ARMED_WITHIN_S = 3.0
 _FRESH_S = 3.0  # a heartbeat older than this proves nothing
 # PX4 checks a new mission for about a second, and denies its start until then.
 _MISSION_CHECKED_WITHIN_S = 5.0
-_START_AGAIN_AFTER_S = 0.25
+_START_AGAIN_AFTER_S = 1.0  # each refusal tells the pilot something
 _PUT_BACK_WITHIN_S = 3.0
 _log = logging.getLogger(__name__)
 
@@ -131,7 +131,7 @@ class MissionClient:
     on_vehicle
         Called with a `VehicleState` on every position and mission progress message.
     on_text
-        Called with (severity, text) for every status text of the vehicle.
+        Called with MAV_SEVERITY and text for every status text of the vehicle, once it is complete.
 
     Callbacks run in the input-output thread and must return quickly.
 

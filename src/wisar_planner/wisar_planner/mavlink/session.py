@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mav
 from wisar_planner.mavlink.codec import Message
 from wisar_planner.mavlink.exchange import Address, Exchange
 from wisar_planner.mavlink.streams import Streams
-from wisar_planner.mavlink.vehicle import VehicleState, changes
+from wisar_planner.mavlink.vehicle import VehicleState, changes, is_last_chunk
 
 HEARTBEAT_EVERY_S = 1.0
 LINK_LOST_AFTER_S = 5.0
@@ -169,10 +169,10 @@ class Session:
             self._streams = Streams(Address(before.system, before.component))
         if name == "HEARTBEAT":
             self._watch(now)
-        elif name == "STATUSTEXT":
-            self._on_text(message.severity, self.vehicle.text)
-        else:
+        elif name != "STATUSTEXT":
             self._on_vehicle(self.vehicle)
+        elif is_last_chunk(message):
+            self._on_text(message.severity, self.vehicle.text)
 
     def _watch(self, now: float) -> None:
         """Notice that the vehicle has appeared, or has been silent for too long."""

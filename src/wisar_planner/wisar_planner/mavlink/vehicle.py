@@ -12,6 +12,7 @@ from wisar_planner.mavlink.dialect import GENERIC, Dialect, dialect_of
 from wisar_planner.mavlink.modes import is_armed
 
 _NO_HEADING = 65_535
+_CHUNK_BYTES = 50  # of a STATUSTEXT
 POSITION_KNOWN_FOR_S = 5.0
 """How old a position may be and still tell where the vehicle is, s."""
 
@@ -102,6 +103,16 @@ def _is_place(latitude: int, longitude: int) -> bool:
     return on_earth and not latitude == longitude == 0
 
 
+def _text_of(message: Message) -> str:
+    text = message.text
+    return text if isinstance(text, str) else str(text.decode("utf-8", "replace"))
+
+
+def is_last_chunk(message: Message) -> bool:
+    """Whether the text of a STATUSTEXT ends with it; a full chunk of a longer one does not."""
+    return not message.id or len(_text_of(message).encode()) < _CHUNK_BYTES
+
+
 def changes(state: VehicleState, message: Message, now: float) -> dict[str, object]:
     """Return the fields of `state` that a telemetry message replaces; empty if none."""
     name = message.get_type()
@@ -142,9 +153,7 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
         field = "current_item" if name == "MISSION_CURRENT" else "reached_item"
         return {field: seq if seq >= 0 else None}
     if name == "STATUSTEXT":
-        text = message.text
-        text = text if isinstance(text, str) else text.decode("utf-8", "replace")
         # A text longer than 50 bytes comes in chunks with the same id.
         before = state.text if message.id and message.chunk_seq else ""
-        return {"text": (before + text).rstrip()}
+        return {"text": (before + _text_of(message)).rstrip()}
     return {}

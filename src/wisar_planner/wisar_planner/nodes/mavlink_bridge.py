@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pymavlink.dialects.v20 import common as mav
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -70,6 +71,7 @@ class MavlinkBridge(Node):
             key_file=Path(value("key_file")) if value("key_file") else None,
             on_link=self._on_link,
             on_vehicle=self._on_vehicle,
+            on_text=self._on_text,
         )
         self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
         self.create_subscription(SearchPlan, "plan", self._on_plan, LATCHED)
@@ -395,6 +397,16 @@ class MavlinkBridge(Node):
             self.get_logger().warning(text)
         elif progress.flying and (self._state != MissionStatus.FLYING or items != self._items):
             self._set_state(MissionStatus.FLYING, "the verified mission is being flown", items)
+
+    def _on_text(self, severity: int, text: str) -> None:
+        """Log what the vehicle says, as it often gives a reason once only."""
+        said = f"the vehicle says: {text}"
+        if severity <= mav.MAV_SEVERITY_ERROR:
+            self.get_logger().error(said)
+        elif severity == mav.MAV_SEVERITY_WARNING:
+            self.get_logger().warning(said)
+        else:
+            self.get_logger().info(said)
 
     # Requests to the vehicle
 

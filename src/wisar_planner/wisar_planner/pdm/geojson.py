@@ -47,7 +47,8 @@ def read_geojson(path: Path) -> dict[str, Any]:
         raise ValueError(f"{constant} is not a JSON number")
 
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+        # Some programs put a byte order mark in front, which RFC 8259 lets a reader ignore.
+        document = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise InvalidInput(f"{path}: not valid JSON ({error}); export it again") from None
     if not isinstance(document, dict) or not isinstance(document.get("type"), str):

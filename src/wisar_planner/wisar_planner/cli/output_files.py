@@ -1,4 +1,4 @@
-"""The files that `wisar plan` writes: checked before the planning, written one by one after it."""
+"""The files that a command writes: checked before the work, written one by one after it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def check_names(
     inputs : mapping of str to Path
         What is read, by its name for the message.
     outputs : iterable of (option, path, suffixes)
-        What is to be written, by which option, and the suffixes that it may have.
+        What is to be written, by which option, and the suffixes that it may have; none for any.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def check_names(
 
     taken = {_identity(path): name for name, path in inputs.items()}
     for option, path, suffixes in outputs:
-        if path.suffix.lower() not in suffixes:
+        if suffixes and path.suffix.lower() not in suffixes:
             raise InvalidInput(f"{option}: {path} must end in one of {' '.join(suffixes)}")
         if path.is_dir():
             raise InvalidInput(f"{option}: {path} is a folder; give the name of a file")
