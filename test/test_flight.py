@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 import yaml
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mav
 from std_srvs.srv import Trigger
 
 from wisar_msgs.msg import MissionStatus, ProbabilityMap, SearchPlan
 from wisar_planner.mavlink.client import MissionClient
+from wisar_planner.mavlink.codec import Codec
 from wisar_planner.mavlink.mission import Mission
 from wisar_planner.nodes.qos import LATCHED
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
@@ -244,10 +246,12 @@ def test_nothing_is_uploaded_to_a_vehicle_that_does_not_know_where_it_is(
         suite.wait(lambda: connected() and operator.upload_result, "the bridge's answer")
         assert operator.upload_result.error_code == operator.upload_result.UNSAFE
         assert "position is not known" in operator.upload_result.error_text
+        codec = Codec(vehicle.mav.srcSystem, vehicle.mav.srcComponent)
         for number, chunk in enumerate(
             (b"PreArm: 3D fix needed before the motors may turn, ", b"wait")
         ):
-            vehicle.mav.statustext_send(mavutil.mavlink.MAV_SEVERITY_CRITICAL, chunk, 7, number)
+            text = mav.MAVLink_statustext_message(mav.MAV_SEVERITY_CRITICAL, chunk, 7, number)
+            vehicle.write(codec.encode(text))
         said = "the vehicle says: PreArm: 3D fix needed before the motors may turn, wait"
         suite.wait(lambda: connected() and said in suite.log("mavlink_bridge"), "what it says")
         assert suite.log("mavlink_bridge").count("the vehicle says") == 1

@@ -6,7 +6,6 @@ import copy
 import signal
 import time
 
-import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 
@@ -255,12 +254,25 @@ def test_a_goal_learns_that_the_planner_is_told_to_end(suite, mixture_file) -> N
     assert suite.operator.plan == good
 
 
-@pytest.mark.parametrize("planner", planner_names())
-def test_every_planner_can_be_asked_for_by_name(suite, mixture_file, planner: str) -> None:
+def test_every_planner_can_be_asked_for_by_name(suite, mixture_file) -> None:
     suite.start_map(mixture_file)
-    suite.start_planner(planner)
+    suite.start_planner("greedy")
     suite.wait_for_plan()
-    plan = suite.operator.plan
-    assert plan.planner == planner
-    assert 0.0 < plan.probability_efficiency <= plan.upper_bound
-    assert plan.length <= plan.budget + 1e-6
+    asker = Asker(suite)
+    for name in planner_names():
+        result = asker.ask(planner=name)
+        assert (result.error_code, result.plan.planner) == (result.NONE, name), result.error_text
+        assert 0.0 < result.plan.probability_efficiency <= result.plan.upper_bound
+        assert result.plan.length <= result.plan.budget + 1e-6
+
+
+def test_a_parameter_change_replans(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner("greedy")
+    suite.wait_for_plan()
+    for name, value in (("max_distance", 600.0), ("planner", "sac")):
+        assert suite.set_parameter(name, value).successful
+    suite.wait(
+        lambda: (suite.operator.plan.planner, suite.operator.plan.budget) == ("sac", 600.0),
+        "the plan of the new planner and budget",
+    )

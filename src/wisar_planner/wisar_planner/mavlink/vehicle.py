@@ -155,5 +155,6 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
     if name == "STATUSTEXT":
         # A text longer than 50 bytes comes in chunks with the same id.
         before = state.text if message.id and message.chunk_seq else ""
-        return {"text": (before + _text_of(message)).rstrip()}
+        text = before + _text_of(message)
+        return {"text": text.rstrip() if is_last_chunk(message) else text}
     return {}
