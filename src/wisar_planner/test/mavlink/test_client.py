@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 from wisar_planner.mavlink.client import LinkError, MissionClient
 from wisar_planner.mavlink.codec import Codec
 from wisar_planner.mavlink.mission import MissionKind, build_mission
-from wisar_planner.mavlink.transfer import UploadCode
+from wisar_planner.mavlink.outcome import UploadCode
 
 MISSION = build_mission([(57.0, -4.0), (57.001, -4.0)], altitude_m=40.0, speed=5.0)
 
@@ -113,7 +113,7 @@ def test_a_connection_that_cannot_be_is_told_and_tried_again(connection):
     with MissionClient(connection, on_link=states.append) as client:
         error = run(client.wait_heartbeat, 0.5)
         assert isinstance(error, LinkError)
-        assert client._thread.is_alive()
+        assert client._link._thread.is_alive()
         assert connection in client.link_status.text
         assert states
         assert run(client.upload, MISSION).code is UploadCode.NO_LINK
@@ -147,7 +147,7 @@ def test_an_error_inside_ends_every_call_in_words(monkeypatch):
         def fail(*_):
             raise RuntimeError("a fault")
 
-        monkeypatch.setattr(client._session, "tick", fail)
+        monkeypatch.setattr(client._link._session, "tick", fail)
         thread.join(5.0)
         assert results[0].code is UploadCode.NO_LINK
         assert "a fault" in results[0].error

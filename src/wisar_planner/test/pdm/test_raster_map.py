@@ -102,6 +102,21 @@ def test_rasterize_keeps_mass_at_any_resolution(cell, dx, dy):
     assert new[row, column] == pytest.approx(by_cells(raster, box), abs=1e-12)
 
 
+@pytest.mark.parametrize("cell", [0.7, 4.1])
+def test_a_grid_that_hangs_over_gets_what_its_cells_cover(cell):
+    raster = example()
+    grid = Grid(1.5, -6.0, cell, 9, 12)
+    x, y = np.meshgrid(grid.x_edges[:-1], grid.y_edges[:-1])
+    cells = shapely.box(x, y, x + cell, y + cell).ravel()
+    expected = np.reshape([by_cells(raster, each) for each in cells], x.shape)
+    np.testing.assert_allclose(raster.rasterize(grid), expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("x0", [-50.0, 50.0])
+def test_a_grid_apart_from_the_map_gets_nothing(x0):
+    assert not example().rasterize(Grid(x0, 2.0, 3.0, 4, 3)).any()
+
+
 def test_rasterize_on_its_own_grid_is_the_map():
     raster = example()
     np.testing.assert_allclose(raster.rasterize(raster.grid), raster.probability, atol=1e-15)

@@ -3,12 +3,17 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import roots_jacobi
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm import GaussianMixture, Grid, RasterMap
 from wisar_planner.pdm.closed_form import mixture_in_polygon
 from wisar_planner.search import SearchPath, SearchProblem
-from wisar_planner.search.cubature import integrate_by_cubature, seen_probability_by_cubature
+from wisar_planner.search.cubature import (
+    gauss_jacobi,
+    integrate_by_cubature,
+    seen_probability_by_cubature,
+)
 
 MIXTURE = GaussianMixture(
     [0.3, 0.7], [[5, 5], [30, 10]], [[[40, 25], [25, 30]], [[200, -50], [-50, 90]]]
@@ -89,3 +94,9 @@ def test_bad_input_is_named():
     with pytest.raises(InvalidInput, match="polygon"):
         integrate_by_cubature(MIXTURE, shapely.LineString([(0, 0), (1, 1)]))
     assert integrate_by_cubature(MIXTURE, shapely.Polygon()).value == 0.0
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 8])
+def test_the_rule_with_a_shrinking_width_is_scipys(n):
+    for ours, theirs in zip(gauss_jacobi(n), roots_jacobi(n, 1.0, 0.0), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)

@@ -36,8 +36,9 @@ from wisar_planner.mavlink.exchange import Address, item_message
 from wisar_planner.mavlink.link import Link
 from wisar_planner.mavlink.link_estimate import LinkEstimates
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind, build_mission
+from wisar_planner.mavlink.outcome import UploadResult
 from wisar_planner.mavlink.session import Session
-from wisar_planner.mavlink.transfer import MissionTransfer, UploadResult
+from wisar_planner.mavlink.transfer import MissionTransfer
 from wisar_planner.mavlink.upload import Upload, UploadEnd
 
 if TYPE_CHECKING:

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
-import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
 
 from pymavlink.dialects.v20 import common as mav
 
-from wisar_planner.mavlink.codec import Codec, Counters, Message, read_key_file
+from wisar_planner.mavlink.codec import Counters
 from wisar_planner.mavlink.command import Command, RequestEnd, SetCurrent
 from wisar_planner.mavlink.download import Download, DownloadEnd
-from wisar_planner.mavlink.exchange import Address, Exchange
-from wisar_planner.mavlink.link import Link
+from wisar_planner.mavlink.exchange import Address
 from wisar_planner.mavlink.link_estimate import LinkEstimates, RetryPolicy
+from wisar_planner.mavlink.link_thread import LinkThread, guarded
 from wisar_planner.mavlink.mission import Mission, MissionItem, MissionKind
 from wisar_planner.mavlink.modes import (
     Intent,
@@ -32,42 +27,20 @@ from wisar_planner.mavlink.modes import (
     flies_mission,
     shown_by,
 )
-from wisar_planner.mavlink.session import LinkStatus, Session, Slot
-from wisar_planner.mavlink.transfer import (
-    MissionTransfer,
-    UploadCode,
-    UploadProgress,
-    UploadResult,
-    lists_of,
-)
+from wisar_planner.mavlink.outcome import UploadCode, UploadProgress, UploadResult
+from wisar_planner.mavlink.session import LinkStatus, Slot
+from wisar_planner.mavlink.transfer import MissionTransfer, lists_of
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.mavlink.wording import command_result, mission_result
 
-_LONGEST_WAIT_S = 0.25
 # A late arming or start takes off when nobody expects it any more.
 _ARMED_WITHIN_S = 3.0
 _FRESH_S = 3.0  # a heartbeat older than this proves nothing
 # PX4 checks a new mission for about a second, and denies its start until then.
 _MISSION_CHECKED_WITHIN_S = 5.0
 _START_AGAIN_AFTER_S = 1.0  # each refusal tells the pilot something
-_PUT_BACK_WITHIN_S = 3.0
-_log = logging.getLogger(__name__)
-
-_E = TypeVar("_E", bound=Exchange)
 
 __all__ = ["LinkError", "LinkStatus", "MissionClient", "RefusedError"]
-
-
-def _guarded(callback: Callable[..., None]) -> Callable[..., None]:
-    """Keep a mistake in somebody's callback from ending the conversation with the vehicle."""
-
-    def call(*args: object) -> None:
-        try:
-            callback(*args)
-        except Exception:
-            _log.exception("a callback of the MAVLink client failed")
-
-    return call
 
 
 class LinkError(ConnectionError):
@@ -76,32 +49,6 @@ class LinkError(ConnectionError):
 
 class RefusedError(LinkError):
     """The vehicle answered, and refused."""
-
-
-@dataclass
-class _Job:
-    """An exchange in progress, and who waits for it."""
-
-    exchange: Exchange
-    finished: Future[None]
-    should_cancel: Callable[[], bool]
-
-    def is_cancelled(self) -> bool:
-        """Whether who waits wants no more; one who cannot be asked does not."""
-        try:
-            return self.should_cancel()
-        except Exception:
-            _log.exception("whether to cancel could not be asked; the exchange is cancelled")
-            return True
-
-
-@dataclass
-class _Lane:
-    """The exchanges of one slot: the one in progress, and those that follow it."""
-
-    slot: Slot
-    waiting: deque[_Job] = field(default_factory=deque)
-    job: _Job | None = None
 
 
 class MissionClient:
@@ -162,29 +109,7 @@ class MissionClient:
         on_vehicle: Callable[[VehicleState], None] = lambda _: None,
         on_text: Callable[[int, str], None] = lambda *_: None,
     ) -> None:
-        key = None if key_file is None else read_key_file(key_file)
         self._links = LinkEstimates(policy)
-        self._heard = threading.Condition()
-        self._on_link = _guarded(on_link)
-        self._session = Session(
-            Address(system, component),
-            connection,
-            target_system=target_system,
-            target_component=target_component,
-            on_link=self._link_changed,
-            on_vehicle=_guarded(on_vehicle),
-            on_text=_guarded(on_text),
-        )
-        self._connection = Link(
-            connection,
-            Codec(system, component, key=key),
-            on_state=lambda opened, text: None if opened else self._session.connection_lost(text),
-        )
-        self._lanes = {slot: _Lane(slot) for slot in Slot}
-        self._jobs_lock = threading.Lock()
-        self._failure = ""
-        """Why the input-output thread ended by itself; no call can be served any more."""
-        self._ended = False
         self._requesting = threading.Lock()
         self._urgent_lock = threading.Lock()
         self._urgent = 0, ""
@@ -194,29 +119,33 @@ class MissionClient:
         self._starting = False
         self._doubtful = False  # whether the last upload left a mission that nobody has verified
         self._uploaded_at = -math.inf
-        self._closing = False
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
-        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
-        self._thread.start()
+        self._link = LinkThread(
+            connection,
+            Address(system, component),
+            target_system=target_system,
+            target_component=target_component,
+            key_file=key_file,
+            on_link=on_link,
+            on_vehicle=on_vehicle,
+            on_text=on_text,
+        )
 
     # -- what is known -----------------------------------------------------------------------
 
     @property
     def vehicle(self) -> VehicleState | None:
         """Latest snapshot of the vehicle; None before its first heartbeat."""
-        return self._session.vehicle
+        return self._link.vehicle
 
     @property
     def link_status(self) -> LinkStatus:
         """Whether the vehicle can be talked to now."""
-        return self._session.status
+        return self._link.status
 
     @property
     def counters(self) -> Counters:
         """What became of the bytes received (dropped, unsigned, badly signed, ...)."""
-        return replace(self._connection.counters)
+        return self._link.counters
 
     @property
     def round_trip_s(self) -> float | None:
@@ -231,16 +160,14 @@ class MissionClient:
         LinkError
             If no heartbeat comes within `timeout` seconds.
         """
-        session = self._session
-        with self._heard:
-            if not self._heard.wait_for(lambda: session.status.connected or self._ended, timeout):
-                raise LinkError(
-                    f"no heartbeat on {self._connection.connection} within {timeout:g} s; check "
-                    "the connection string, the vehicle's power and, if a key file is used, its key"
-                )
-        if session.vehicle is None or self._ended:
-            raise LinkError(self._failure or "the client was closed")
-        return session.vehicle
+        if not self._link.wait_until_heard(timeout):
+            raise LinkError(
+                f"no heartbeat on {self._link.connection} within {timeout:g} s; check the "
+                "connection string, the vehicle's power and, if a key file is used, its key"
+            )
+        if self.vehicle is None or self._link.ended:
+            raise LinkError(self._gone)
+        return self.vehicle
 
     # -- missions ------------------------------------------------------------------------------
 
@@ -287,7 +214,7 @@ class MissionClient:
                 items_total=total,
             )
         try:
-            state, status = self._session.vehicle, self._session.status
+            state, status = self.vehicle, self.link_status
             if state is None or not status.connected:
                 return UploadResult(
                     UploadCode.NO_LINK,
@@ -305,16 +232,16 @@ class MissionClient:
                 state.dialect,
                 kinds=kinds,
                 links=self._links,
-                on_progress=_guarded(on_progress),
+                on_progress=guarded(on_progress),
                 objection=self._against_uploading,
             )
-            self._exchange(transfer, should_cancel)
+            self._link.carry_out(transfer, should_cancel)
             transfer.abandon(time.monotonic())
             result = transfer.result
             assert result is not None
-            if self._failure:
+            if failure := self._link.failure:
                 result = replace(
-                    result, code=UploadCode.NO_LINK, error=f"{self._failure}; {result.error}"
+                    result, code=UploadCode.NO_LINK, error=f"{failure}; {result.error}"
                 )
             if MissionKind.MISSION in kinds and not result.old_counts:
                 self._doubtful = not result.verified
@@ -338,17 +265,17 @@ class MissionClient:
             If the vehicle does not answer or refuses, or if the download is cancelled.
         """
         state = self._require_vehicle()
-        download = self._exchange(
+        download = self._link.carry_out(
             Download(
                 kind,
                 self._target(state),
                 link=self._links.asking,
-                on_progress=_guarded(on_progress),
+                on_progress=guarded(on_progress),
             ),
             should_cancel,
         )
         if download.end is not DownloadEnd.COMPLETE:
-            words = self._failure or "the client was closed"
+            words = self._gone
             if download.end is not None:
                 words = download.end.value
             if download.result is not None:
@@ -487,7 +414,7 @@ class MissionClient:
     # What speaks against sending something now, in words; asked before each (re)sending.
 
     def _against_uploading(self) -> str:
-        vehicle = self._session.vehicle
+        vehicle = self.vehicle
         if self._starting:
             return "a start of the mission is in progress; wait for its answer, then call pause"
         if (
@@ -502,7 +429,7 @@ class MissionClient:
         return ""
 
     def _against_starting(self, now: float) -> str:
-        vehicle = self._session.vehicle
+        vehicle = self.vehicle
         if self._uploading.locked():
             return "an upload is in progress; wait for its end"
         if self._doubtful:
@@ -515,7 +442,7 @@ class MissionClient:
         return "" if vehicle.armed else "the vehicle is no longer armed; start again"
 
     def _against_resuming(self, now: float) -> str:
-        vehicle = self._session.vehicle
+        vehicle = self.vehicle
         if vehicle is not None and not vehicle.armed:
             return "the vehicle is not armed; arm it, then call start_mission"
         if vehicle is not None and vehicle.landed:
@@ -523,7 +450,7 @@ class MissionClient:
         return self._against_starting(now)
 
     def _against_arming(self, now: float) -> str:
-        vehicle = self._session.vehicle
+        vehicle = self.vehicle
         if vehicle is None or now - vehicle.heard_at > _FRESH_S:
             return f"no heartbeat for {_FRESH_S:g} s; check the link, then arm again"
         if flies_by_itself(vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode):
@@ -594,16 +521,16 @@ class MissionClient:
             return False
 
         check()
-        self._exchange(request, is_given_up, Slot.COMMAND)
+        self._link.carry_out(request, is_given_up, Slot.COMMAND)
         check()
         if request.end is RequestEnd.ACCEPTED:
             return
         if request.end is RequestEnd.REFUSED and request.result is not None:
-            text = self._session.vehicle.text if self._session.vehicle is not None else ""
+            text = "" if self.vehicle is None else self.vehicle.text
             said = f" (the vehicle says: {text})" if text else ""
             raise RefusedError(f"{words}: {command_result(request.result)}{said}")
         if request.end is None or request.end is RequestEnd.CANCELLED:
-            raise LinkError(f"{words}: {self._failure or 'the client was closed'}")
+            raise LinkError(f"{words}: {self._gone}")
         if request.end is RequestEnd.WITHDRAWN and isinstance(request, Command):
             raise LinkError(f"{words}: {request.why}")
         if request.end is RequestEnd.UNCHANGED:
@@ -620,15 +547,7 @@ class MissionClient:
 
         An old mission that has to be put back then has three seconds for it.
         """
-        if self._closing:
-            return
-        self._closing = True
-        self._wake()
-        self._thread.join()
-        with self._jobs_lock:  # nobody may wake a thread that has gone, by a number used anew
-            os.close(self._wake_read)
-            os.close(self._wake_write)
-            self._wake_write = -1
+        self._link.close()
 
     def __enter__(self) -> MissionClient:
         return self
@@ -643,8 +562,13 @@ class MissionClient:
 
     # -- inside --------------------------------------------------------------------------------
 
+    @property
+    def _gone(self) -> str:
+        """Why nothing can be asked any more."""
+        return self._link.failure or "the client was closed"
+
     def _require_vehicle(self) -> VehicleState:
-        vehicle, status = self._session.vehicle, self._session.status
+        vehicle, status = self.vehicle, self.link_status
         if vehicle is None or not status.connected:
             raise LinkError(f"no vehicle to talk to: {status.text}")
         return vehicle
@@ -652,100 +576,3 @@ class MissionClient:
     @staticmethod
     def _target(state: VehicleState) -> Address:
         return Address(state.system, state.component)
-
-    def _exchange(
-        self,
-        exchange: _E,
-        should_cancel: Callable[[], bool] = lambda: False,
-        slot: Slot = Slot.TRANSFER,
-    ) -> _E:
-        """Run an exchange in the input-output thread and wait for its end."""
-        job = _Job(exchange, Future(), should_cancel)
-        with self._jobs_lock:
-            if self._ended:
-                job.finished.set_result(None)
-            else:
-                self._lanes[slot].waiting.append(job)
-                self._wake()
-        job.finished.result()
-        return exchange
-
-    def _wake(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._wake_write, b"\0")
-
-    def _run(self) -> None:
-        try:
-            self._serve(lambda: self._closing)
-            for slot in self._lanes:
-                self._send(self._session.cancel(time.monotonic(), slot))
-            # An old mission that is being put back is put back before the connection closes.
-            ends = time.monotonic() + _PUT_BACK_WITHIN_S
-            self._serve(lambda: self._is_idle() or time.monotonic() >= ends)
-        except Exception as error:
-            _log.exception("the MAVLink connection ended because of an error of this program")
-            self._failure = (
-                f"the connection {self._connection.connection} ended because of an error of this "
-                f"program ({type(error).__name__}: {error}); start it again"
-            )
-        with self._jobs_lock:
-            self._ended = True
-            lanes = self._lanes.values()
-            left = [job for lane in lanes for job in (lane.job, *lane.waiting) if job is not None]
-        if self._failure:
-            self._session.ended(self._failure)
-        for job in left:
-            job.finished.set_result(None)
-        self._connection.close()
-        with self._heard:
-            self._heard.notify_all()
-
-    def _is_idle(self) -> bool:
-        transfer = self._session.exchange
-        return transfer is None or transfer.done
-
-    def _serve(self, is_over: Callable[[], bool]) -> None:
-        session, connection = self._session, self._connection
-        while not is_over():
-            now = time.monotonic()
-            connection.open()
-            for lane in self._lanes.values():
-                self._begin_or_cancel(lane, now)
-            self._send(session.tick(now))
-            ended = [self._finish(lane) for lane in self._lanes.values()]
-            if any(ended):
-                continue
-            wait = min(max(session.deadline - now, 0.0), _LONGEST_WAIT_S)
-            for message in connection.receive(wait, self._wake_read):
-                self._send(session.receive(message, time.monotonic()))
-            self._drain_wake()
-
-    def _begin_or_cancel(self, lane: _Lane, now: float) -> None:
-        if lane.job is not None and lane.job.is_cancelled():
-            self._send(self._session.cancel(now, lane.slot))
-            self._finish(lane)
-        if lane.job is None and lane.waiting and not self._closing:
-            lane.job = lane.waiting.popleft()
-            self._send(self._session.begin(lane.job.exchange, now, lane.slot))
-
-    def _finish(self, lane: _Lane) -> bool:
-        """Tell who waits that the exchange in progress has ended; return whether it has."""
-        if lane.job is None or not lane.job.exchange.done:
-            return False
-        lane.job.finished.set_result(None)
-        self._session.finish(lane.slot)
-        lane.job = None
-        return True
-
-    def _drain_wake(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            os.read(self._wake_read, 4096)
-
-    def _send(self, messages: list[Message]) -> None:
-        for message in messages:
-            self._connection.send(message)
-
-    def _link_changed(self, status: LinkStatus) -> None:
-        with self._heard:
-            self._heard.notify_all()
-        self._on_link(status)

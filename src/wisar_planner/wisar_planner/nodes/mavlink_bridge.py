@@ -25,8 +25,8 @@ from wisar_planner.mavlink.client import LinkError, LinkStatus, MissionClient
 from wisar_planner.mavlink.files import write_plan_file
 from wisar_planner.mavlink.flight import FlightTracker
 from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.outcome import UploadProgress
 from wisar_planner.mavlink.search_mission import MissionSettings, search_mission
-from wisar_planner.mavlink.transfer import UploadProgress
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import LocatedMap, Plan

@@ -14,8 +14,9 @@ from wisar_planner.mavlink.download import Download
 from wisar_planner.mavlink.exchange import Address
 from wisar_planner.mavlink.link_estimate import LinkEstimates
 from wisar_planner.mavlink.mission import MissionKind, build_mission
+from wisar_planner.mavlink.outcome import UploadCode, UploadResult
 from wisar_planner.mavlink.session import Session
-from wisar_planner.mavlink.transfer import MissionTransfer, UploadCode, UploadResult
+from wisar_planner.mavlink.transfer import MissionTransfer
 from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_sim.autopilot.autopilot import Autopilot
 from wisar_sim.autopilot.profile import PROFILES

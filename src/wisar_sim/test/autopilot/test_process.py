@@ -18,7 +18,7 @@ from wisar_planner.mavlink.client import LinkError, MissionClient
 from wisar_planner.mavlink.dialect import PX4
 from wisar_planner.mavlink.link_estimate import RetryPolicy
 from wisar_planner.mavlink.mission import MissionKind, build_mission
-from wisar_planner.mavlink.transfer import UploadCode
+from wisar_planner.mavlink.outcome import UploadCode
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_sim.autopilot.cli import main
 

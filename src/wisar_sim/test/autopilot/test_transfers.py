@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import common as mav
 from wisar_planner.mavlink.dialect import dialect_of
 from wisar_planner.mavlink.exchange import Address
 from wisar_planner.mavlink.mission import Mission, MissionKind, build_mission
-from wisar_planner.mavlink.transfer import MissionTransfer, UploadCode, lists_of
+from wisar_planner.mavlink.outcome import UploadCode
+from wisar_planner.mavlink.transfer import MissionTransfer, lists_of
 from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
 from wisar_sim.autopilot.conversation import Conversation
 from wisar_sim.autopilot.mission_server import MissionServer, StoredItem
