@@ -48,6 +48,7 @@ class Operator:
         self.node = Node("operator", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._ending = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="operator", daemon=True)
         self._upload = ActionClient(self.node, UploadMission, "upload_mission")
         self.map: Any = None
@@ -73,9 +74,11 @@ class Operator:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        rclpy.try_shutdown(context=self._context)
+        # Ended from without, rclpy may trip over what is taken from under it.
+        self.run(self._ending.set)
         self._thread.join(timeout=5.0)
         self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
 
     def can_upload(self) -> bool:
         """Whether a mavlink_bridge answers, hears its autopilot and has the last plan."""
@@ -126,4 +129,5 @@ class Operator:
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+            while not self._ending.is_set():
+                self._executor.spin_once()
