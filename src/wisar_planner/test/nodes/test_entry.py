@@ -179,3 +179,14 @@ def test_help_tells_what_the_node_does() -> None:
     assert done.stdout.startswith("usage: ")
     assert "--ros-args" in done.stdout
     assert "Publishes a probability map" in done.stdout
+
+
+HEAVY = ("scipy.special", "scipy.sparse", "scipy.ndimage", "rasterio", "matplotlib", "torch")
+
+
+@pytest.mark.parametrize("name", ["mavlink_bridge", "pdm_server", "planner"])
+def test_a_node_starts_without_what_takes_long_to_import(name: str) -> None:
+    """Each of these takes a node as long to import as half of all else together, or longer."""
+    code = f"import sys, wisar_planner.nodes.{name}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(HEAVY) & set(done.stdout.split()) == set()
