@@ -8,7 +8,7 @@ when that has changed; a second run takes a fraction of a second.
     stage         made from                             leaves
     environment   requirements*.txt, the Python version .venv/
     cmake paths   the ROS 2 wheels                      .venv/share/**/*.cmake, rewritten
-    build         src/**                                build/, install/
+    build         src/**, config/, models/              build/, install/
     bytecode      all that is installed                 __pycache__ of what is used
     kernels       the compiled kernels                  .cache/numba/
 
@@ -28,6 +28,7 @@ import sys
 import sysconfig
 import time
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -56,9 +57,15 @@ def main() -> int:
             install_extra("train", "PyTorch and what else training needs (5 GB)")
         if arguments.bench:
             install_extra("bench", "the benchmark's peers")
-        build_packages()
-        keep_bytecode()
-        compile_kernels()
+        remove_other_builds()
+        build_python_packages()
+        link_command("wisar")
+        # Most of both runs on one core.
+        with ThreadPoolExecutor() as pool:
+            kernels = pool.submit(compile_kernels)
+            build_messages()
+            keep_bytecode()
+            kernels.result()
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 1
@@ -193,31 +200,60 @@ def rewrite_cmake_paths() -> None:
             file.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
-def build_packages() -> None:
-    """Build the three packages with colcon into one prefix, install/."""
-    sources = sorted(
-        path
-        for folder in ("src", "config", "models")
-        for path in (ROOT / folder).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts and "test" not in path.parts
-    )
-    key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))
+def remove_other_builds() -> None:
+    """Remove what was built for another environment or place: it would be picked up again."""
+    key = digest([], (VENV / ".wisar-stamp").read_text(), str(ROOT))
     stamp = INSTALL / ".wisar-stamp"
     if is_current(stamp, key):
         return
-    announce("building wisar_msgs, wisar_planner, wisar_sim (colcon)")
-    previous = stamp.read_text() if stamp.exists() else ""
+    for folder in ("build", "install"):
+        shutil.rmtree(ROOT / folder, ignore_errors=True)
+    INSTALL.mkdir()
+    stamp.write_text(key)
+
+
+def build_python_packages() -> None:
+    """Build wisar_planner and wisar_sim: seconds, and all that compiling kernels needs."""
+    names = ("wisar_planner", "wisar_sim")
+    key = digest(sources("src/wisar_planner", "src/wisar_sim", "config", "models"))
+    stamp = INSTALL / ".wisar-python-stamp"
+    if is_current(stamp, key):
+        return
+    announce(f"building {', '.join(names)} (colcon)")
     stamp.unlink(missing_ok=True)
-    if not previous:
-        # Files of a build for another environment or place would be picked up again.
-        for folder in ("build", "install"):
-            shutil.rmtree(ROOT / folder, ignore_errors=True)
-    else:
-        # colcon leaves deleted modules in place; the Python packages are quick to install anew.
-        for name in ("wisar_planner", "wisar_sim"):
-            shutil.rmtree(ROOT / "build" / name, ignore_errors=True)
-            for installed in INSTALL.glob(f"lib/python3*/site-packages/{name}*"):
-                shutil.rmtree(installed, ignore_errors=True)
+    for name in names:
+        # colcon leaves deleted modules in place; these are quick to install anew.
+        shutil.rmtree(ROOT / "build" / name, ignore_errors=True)
+        for installed in INSTALL.glob(f"lib/python3*/site-packages/{name}*"):
+            shutil.rmtree(installed, ignore_errors=True)
+    colcon_build(*names)
+    stamp.write_text(key)
+
+
+def build_messages() -> None:
+    """Build wisar_msgs."""
+    key = digest(sources("src/wisar_msgs"))
+    stamp = INSTALL / ".wisar-messages-stamp"
+    if is_current(stamp, key):
+        return
+    announce("building wisar_msgs (colcon)")
+    stamp.unlink(missing_ok=True)
+    colcon_build("wisar_msgs")
+    stamp.write_text(key)
+
+
+def sources(*folders: str) -> list[Path]:
+    """Return the files that a build of some folders is made from."""
+    return sorted(
+        path
+        for folder in folders
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and "test" not in path.parts
+    )
+
+
+def colcon_build(*packages: str) -> None:
+    """Build packages with colcon into the one prefix, install/."""
     environment = dict(os.environ, PATH=f"{VENV / 'bin'}{os.pathsep}{os.environ['PATH']}")
     if not ros_is_sourced():
         environment.pop("PYTHONPATH", None)
@@ -233,12 +269,11 @@ def build_packages() -> None:
         "build",
         "--merge-install",
     ]
-    build += ["--base-paths", ROOT / "src", "--build-base", ROOT / "build"]
-    build += ["--install-base", INSTALL, "--event-handlers", "console_direct-"]
+    build += ["--base-paths", *(ROOT / "src" / name for name in packages)]
+    build += ["--build-base", ROOT / "build", "--install-base", INSTALL]
+    build += ["--event-handlers", "console_direct-"]
     build += ["--cmake-args", "-GNinja", f"-DPython3_EXECUTABLE={PYTHON}", "-DBUILD_TESTING=OFF"]
-    run(build, "build", environment)
-    link_command("wisar")
-    stamp.write_text(key)
+    run(build, f"build-{packages[0]}", environment)
 
 
 def link_command(name: str) -> None:
@@ -248,7 +283,7 @@ def link_command(name: str) -> None:
     link.symlink_to(INSTALL / "lib" / "wisar_planner" / name)
 
 
-def installed_sources(package: str) -> list[Path]:
+def installed_modules(package: str) -> list[Path]:
     """Return the installed modules of a package."""
     packages = next(INSTALL.glob("lib/python3*/site-packages"))
     return sorted(packages.glob(f"{package}/**/*.py"))
@@ -258,8 +293,8 @@ def keep_bytecode() -> None:
     """Load all modules once, so that no node compiles them at its start; see load_modules.py."""
     names = ("wisar_planner", "wisar_sim")
     installed = [path.read_text() for path in sorted(VENV.glob(".wisar*-stamp"))]
-    sources = [path for name in names for path in installed_sources(name)]
-    key = digest(sources, *installed, str(ROOT))
+    modules = [path for name in names for path in installed_modules(name)]
+    key = digest(modules, *installed, str(ROOT))
     stamp = VENV / ".bytecode-stamp"
     if is_current(stamp, key):
         return
@@ -271,8 +306,8 @@ def keep_bytecode() -> None:
 
 def compile_kernels() -> None:
     """Compile the numerical kernels into the cache, so that no node waits for it."""
-    sources = installed_sources("wisar_planner")
-    key = digest(sources, (VENV / ".wisar-stamp").read_text(), str(ROOT))
+    modules = installed_modules("wisar_planner")
+    key = digest(modules, (VENV / ".wisar-stamp").read_text(), str(ROOT))
     stamp = ROOT / ".cache" / "numba" / ".wisar-stamp"
     if is_current(stamp, key):
         return

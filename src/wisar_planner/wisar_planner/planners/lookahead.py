@@ -59,6 +59,14 @@ _STAGES = (
     _Stage(3, COARSE, 0.5, Schedule(0.03, 0.005)),
     _Stage(1, FINE, 1.0, Schedule(0.02, 0.002)),
 )
+# Where there is time for few moves a step: fewer paths, and longer on the raster of fast moves.
+_SHORT_STAGES = (
+    _Stage(3, COARSE, 0.3, Schedule(0.05, 0.005)),
+    _Stage(1, COARSE, 0.75, Schedule(0.04, 0.005)),
+    _Stage(1, FINE, 1.0, Schedule(0.01, 0.002)),
+)
+# So many moves a step are few, and so many moves are about what a machine makes in a second.
+_FEW_MOVES, _MOVES_PER_SECOND = 700.0, 160_000.0
 
 
 class Found(NamedTuple):
@@ -115,7 +123,7 @@ class Lookahead(OptionedPlanner):
             return dataclasses.replace(path, planner=self.name)
         state = random_state(np.random.default_rng(self.seed))
         begins = 0.0
-        for stage in _STAGES:
+        for stage in self._stages(problem.steps):
             if monitor.stopped():
                 break
             found = heapq.nlargest(stage.paths, found, key=lambda each: each.value)
@@ -155,6 +163,11 @@ class Lookahead(OptionedPlanner):
     @property
     def _seconds(self) -> float:
         return self.time_budget_s if self._timed else math.inf
+
+    def _stages(self, steps: int) -> tuple[_Stage, ...]:
+        """Return the rounds of annealing for paths of so many steps."""
+        moves = self.max_iterations or _MOVES_PER_SECOND * self.time_budget_s
+        return _SHORT_STAGES if moves < _FEW_MOVES * steps else _STAGES
 
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
