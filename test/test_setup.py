@@ -93,6 +93,53 @@ def test_wheels_of_this_or_another_checkout_are_no_installation(
     assert setup.ros_is_sourced()
 
 
+def test_a_build_for_another_environment_is_removed(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(setup, "ROOT", tmp_path)
+    monkeypatch.setattr(setup, "VENV", tmp_path / ".venv")
+    monkeypatch.setattr(setup, "INSTALL", tmp_path / "install")
+    (tmp_path / ".venv").mkdir()
+    environment = tmp_path / ".venv" / ".wisar-stamp"
+    environment.write_text("one")
+    setup.remove_other_builds()
+    built = [tmp_path / folder / "some_package" for folder in ("build", "install")]
+    for folder in built:
+        folder.mkdir(parents=True)
+    setup.remove_other_builds()
+    assert all(folder.exists() for folder in built)
+    environment.write_text("another")
+    setup.remove_other_builds()
+    assert not any(folder.exists() for folder in built)
+
+
+def test_a_change_of_code_builds_its_package_alone(
+    setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    built: list[tuple[str, ...]] = []
+    monkeypatch.setattr(setup, "ROOT", tmp_path)
+    monkeypatch.setattr(setup, "INSTALL", tmp_path / "install")
+    monkeypatch.setattr(setup, "colcon_build", lambda *names: built.append(names))
+    (tmp_path / "install").mkdir()
+    for name in ("wisar_msgs", "wisar_planner", "wisar_sim"):
+        (tmp_path / "src" / name).mkdir(parents=True)
+        (tmp_path / "src" / name / "package.xml").touch()
+
+    def build() -> list[tuple[str, ...]]:
+        built.clear()
+        setup.build_python_packages()
+        setup.build_messages()
+        return list(built)
+
+    python, messages = ("wisar_planner", "wisar_sim"), ("wisar_msgs",)
+    assert build() == [python, messages]
+    assert build() == []
+    (tmp_path / "src" / "wisar_sim" / "package.xml").write_text("changed")
+    assert build() == [python]
+    (tmp_path / "src" / "wisar_msgs" / "package.xml").write_text("changed")
+    assert build() == [messages]
+
+
 def test_lock_files_pin_hashes_and_name_no_address() -> None:
     for path in ROOT.glob("requirements*.txt"):
         text = path.read_text()
