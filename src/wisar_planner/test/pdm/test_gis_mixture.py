@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm import GaussianMixture
-from wisar_planner.pdm.geodesy import GeoOrigin
+from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_planner.pdm.gis import load_map, save_mixture
 
 coordinates = st.floats(-5_000.0, 5_000.0)
@@ -149,7 +149,15 @@ AREA = square(-5.0, 56.7, -4.98, 56.71, role="search_area")
 
 @pytest.mark.parametrize(
     "properties",
-    [{"role": "keep_out"}, {"kind": "keep_out"}, {"role": "Keep-Out"}, {"kind": "no fly zone"}],
+    [
+        {"role": "keep_out"},
+        {"kind": "keep_out"},
+        {"role": "Keep-Out"},
+        {"kind": "no fly zone"},
+        {"role": "search_area", "kind": "NFZ"},
+        {"role": "Restricted airspace"},
+        {"kind": "exclusion_zone"},
+    ],
     ids=str,
 )
 @pytest.mark.parametrize("others", [[], [AREA]], ids=["alone", "beside-an-area"])
@@ -213,9 +221,54 @@ def test_an_area_cut_by_the_antimeridian_becomes_one(tmp_path):
         },
     )
     area = load_map(write(tmp_path / "map.geojson", document)).area
-    # Rounding may leave a sliver between the halves; what counts is that they meet.
-    assert area.buffer(0.01).geom_type == "Polygon"
+    assert area.geom_type == "Polygon"
     assert area.bounds[2] - area.bounds[0] == pytest.approx(2 * 1065, abs=5)
+
+
+def test_sectors_that_share_a_border_but_not_its_vertices_are_one_area(tmp_path):
+    """In metres, the long edge of the northern sector runs 12 cm south of the middle vertex."""
+    plain = write(tmp_path / "map.geojson", collection(point(-4.98, 57.0, weight=1, sigma_m=90)))
+    sectors = [
+        square(-5.0, 57.0, -4.96, 57.01),
+        square(-5.0, 56.99, -4.98, 57.0),
+        square(-4.98, 56.99, -4.96, 57.0),
+    ]
+    area = load_map(plain, area=write(tmp_path / "area.geojson", collection(*sectors))).area
+    assert area.geom_type == "Polygon"
+    assert not area.interiors
+    apart = [sectors[0], square(-5.0, 56.98, -4.96, 56.9999)]  # 11 m between them
+    area = load_map(plain, area=write(tmp_path / "area.geojson", collection(*apart))).area
+    assert len(area.geoms) == 2
+
+
+def test_a_hole_stays_where_a_hairline_is_closed(tmp_path):
+    plain = write(tmp_path / "map.geojson", collection(point(-4.98, 57.0, weight=1, sigma_m=90)))
+    mast = [[-4.98, 57.005], [-4.98, 57.005002], [-4.979997, 57.005002], [-4.98, 57.005]]
+    north = square(-5.0, 57.0, -4.96, 57.01)
+    north["geometry"]["coordinates"].append(mast)
+    sectors = [
+        north,
+        square(-5.0, 56.99, -4.98, 57.0),
+        square(-4.98, 56.99, -4.96, 57.0),
+    ]
+    area = load_map(plain, area=write(tmp_path / "area.geojson", collection(*sectors))).area
+    assert area.geom_type == "Polygon"
+    assert len(area.interiors) == 1
+
+
+def test_edges_are_straight_in_degrees(tmp_path):
+    """A parallel of 20 km is curved in metres: by L^2 tan(latitude) / (8 R), 12 m at 57 degrees."""
+    plain = write(tmp_path / "map.geojson", collection(point(-5.0, 57.0, weight=1, sigma_m=900)))
+    wide = square(-5.165, 56.99, -4.835, 57.01)
+    area = load_map(plain, area=write(tmp_path / "area.geojson", wide)).area
+    frame = LocalFrame(GeoOrigin(57.0, -5.0))
+    for latitude in (56.99, 57.01):
+        on_it = frame.to_local(np.full(99, latitude), np.linspace(-5.165, -4.835, 99))
+        distance = shapely.distance(shapely.points(on_it), area.boundary)
+        assert distance.max() < 0.25
+    # Straight in metres, the middle of the northern edge would lie 12 m outside.
+    west, middle, east = frame.to_local([57.01] * 3, [-5.165, -5.0, -4.835])
+    assert 0.5 * (west + east)[1] - middle[1] == pytest.approx(12.1, abs=0.3)
 
 
 def test_a_mixture_far_from_its_origin_is_refused(tmp_path):
