@@ -160,7 +160,8 @@ def run(settings: Settings, console: Console, interrupt: Interrupt) -> None:
                 executable("wisar_sim", "sim_autopilot"),
                 *("--connection", f"udpin:127.0.0.1:{port}"),
                 *("--profile", settings.autopilot),
-                *("--home", f"{loaded.origin.latitude:.7f},{loaded.origin.longitude:.7f}"),
+                # In one word: a latitude south of the equator begins like an option.
+                f"--home={loaded.origin.latitude:.7f},{loaded.origin.longitude:.7f}",
             ],
         )
         start_node(processes, "wisar_planner", "pdm_server", map=str(settings.map))

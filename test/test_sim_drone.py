@@ -30,7 +30,7 @@ def test_an_older_map_is_refused_and_the_same_one_is_no_news(suite, mixture_file
     stale = copy.deepcopy(good)
     stale.id, stale.header.stamp.sec = "stale", good.header.stamp.sec - 60
     publisher.publish(good)
-    time.sleep(0.5)  # readers keep one message
+    time.sleep(0.5)  # a publisher keeps one message
     publisher.publish(stale)
     suite.wait(lambda: "'stale' is older" in suite.log("sim_drone"), "the drone's refusal")
     suite.wait(lambda: "'stale' is older" in suite.log("planner"), "the planner's refusal")

@@ -99,7 +99,8 @@ def processes(context: LaunchContext) -> list[ExecuteProcess]:
                     [FindPackagePrefix("wisar_sim"), "lib", "wisar_sim", "sim_autopilot"]
                 ),
                 *("--connection", value["connection"].replace("udpout:", "udpin:", 1)),
-                *(("--home", home) if home else ()),
+                # In one word: a latitude south of the equator begins like an option.
+                *([f"--home={home}"] if home else []),
             ],
             output="screen",
             on_exit=end_after_mistake,

@@ -26,7 +26,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import LocatedMap, Plan
 from wisar_planner.nodes.latest_map import LatestMap
-from wisar_planner.nodes.qos import LATCHED
+from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.planners.base import PlanProgress
 from wisar_planner.planners.registry import make_planner, planner_names, planner_options
@@ -118,7 +118,7 @@ class PlannerNode(Node):
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="plan")
         self._plan_publisher = self.create_publisher(SearchPlan, "plan", LATCHED)
         self._path_publisher = self.create_publisher(Path, "path", LATCHED)
-        self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
+        self.create_subscription(ProbabilityMap, "pdm", self._on_map, ALL_LATCHED)
         group = ReentrantCallbackGroup()
         self._action = ActionServer(
             self,

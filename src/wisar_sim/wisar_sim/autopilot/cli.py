@@ -36,7 +36,11 @@ def _parser() -> argparse.ArgumentParser:
         "device; port 0 takes a free one and prints it",
     )
     parser.add_argument("--profile", choices=sorted(PROFILES), default="px4")
-    parser.add_argument("--home", default="57.0,-4.0,0", help="LATITUDE,LONGITUDE[,ALTITUDE_M]")
+    parser.add_argument(
+        "--home",
+        default="57.0,-4.0,0",
+        help="LATITUDE,LONGITUDE[,ALTITUDE_M]; --home=-33.9,151.2 where it begins with -",
+    )
     parser.add_argument("--system", type=int, default=1, help="own system id")
     parser.add_argument("--component", type=int, default=int(mav.MAV_COMP_ID_AUTOPILOT1))
     parser.add_argument("--wind", default="0,0", help="EAST,NORTH component in m/s")

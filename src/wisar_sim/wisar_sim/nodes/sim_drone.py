@@ -13,7 +13,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import Plan
 from wisar_planner.nodes.latest_map import LatestMap
-from wisar_planner.nodes.qos import LATCHED, STREAM
+from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED, STREAM
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.search import SearchProblem
 from wisar_sim.heading_drone import HeadingDrone, by_boundary, by_cubature
@@ -48,7 +48,7 @@ class SimDrone(Node):
         self._flight: tuple[HeadingDrone, Plan] | None = None
         self._pose_publisher = self.create_publisher(PoseStamped, "pose", STREAM)
         self._progress_publisher = self.create_publisher(SearchProgress, "search_progress", LATCHED)
-        self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
+        self.create_subscription(ProbabilityMap, "pdm", self._on_map, ALL_LATCHED)
         self.create_subscription(SearchPlan, "plan", self._on_plan, LATCHED)
         self._timer = self.create_timer(1.0 / (rate * speed_up), self._on_tick)
         self.add_post_set_parameters_callback(lambda _: self._retime())
