@@ -118,6 +118,12 @@ def test_wrong_options_are_refused(wrong):
         (["--planner", "nobody"], "nobody"),
         (["--planner", "lawnmower", "--runs", "0"], "runs"),
         (["--planner", "lawnmower", "--step", "-1"], "step_length"),
+        (["--planner", "lawnmower", "--step", "9", "--budget", "8"], "--step: 9 m is longer than"),
+        (
+            ["--planner", "lawnmower", "--budget", "5"],
+            "by default that of the paper: 8 m is longer",
+        ),
+        (["--planner", "lawnmower", "--budget", "-5"], "max_distance"),
         (["--planner", "lawnmower", "--start", "1,2,3"], "start"),
         (["--planner", "lawnmower", "--start", "900,2"], "start"),
         (["--planner", "lawnmower", "--config", "missing.yaml"], "missing.yaml"),

@@ -4,7 +4,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from wisar_planner.evaluation.figures import save_figures
-from wisar_planner.evaluation.gallery import choose_maps
+from wisar_planner.evaluation.gallery import choose_maps, draw_gallery
 from wisar_planner.evaluation.palette import looks
 from wisar_planner.evaluation.run import PlannerSpec
 from wisar_planner.evaluation.runner import Evaluation, run_evaluation
@@ -48,6 +48,19 @@ def test_one_run_in_which_nobody_is_found_can_be_drawn(tmp_path):
     results = summarise(evaluation, records)
     results["planners"]["lawnmower"]["dtf_quantiles_m"]["p50"] = None
     assert all(path.stat().st_size for path in save_figures(tmp_path, results, records, SHORT))
+
+
+def test_a_path_of_one_waypoint_is_drawn_as_the_disc_that_it_sees():
+    specs = [PlannerSpec("greedy"), PlannerSpec("lawnmower")]
+    unflyable = RandomMaps(drone=Drone(step_length=8.0, max_distance=5.0))
+    evaluation = Evaluation(specs, runs=1, persons=1, scenario=unflyable)
+    records = run_evaluation(evaluation, jobs=1)
+    assert len(records[0].waypoints) == 1
+    styles = looks([spec.name for spec in specs])
+    figure = draw_gallery(summarise(evaluation, records), records, unflyable, styles)
+    figure.canvas.draw()
+    seen = figure.axes[0].patches[1].get_path().get_extents()
+    assert (seen.width, seen.height) == pytest.approx((5.0, 5.0))
 
 
 def test_gallery_shows_an_easy_a_median_and_a_hard_map(drawn):

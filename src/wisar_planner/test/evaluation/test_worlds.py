@@ -111,6 +111,8 @@ def test_real_maps_are_a_world_each_and_missing_ones_are_said(tmp_path):
         ("worlds: {a: {deviations: [4, 2]}}", "deviations"),
         ("worlds: {a: {smoothness: 4}}", "cell"),
         ("worlds: {a: {start: nowhere}}", "start"),
+        ("worlds: {a: {step: 6, budget: 5}}", "world 'a': step: 6 m is longer than its budget"),
+        ("worlds: {a: {maps: '*.tif', budget: 4, scale: 2}}", "world 'a': step: 16 m is longer"),
         ("worlds: {a: {", "YAML"),
     ],
 )

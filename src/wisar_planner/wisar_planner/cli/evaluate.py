@@ -236,6 +236,8 @@ def _scenario(args: argparse.Namespace) -> Scenario:
         "max_distance": args.budget,
     }
     drone = replace(scenario.drone, **{k: v for k, v in given.items() if v is not None})
+    usual = f"--step, by default that of {args.config or 'the paper'}"
+    drone.check_step_fits("--step" if args.step is not None else usual, "the --budget")
     if args.area and not args.map:
         raise InvalidInput("--area needs a --map")
     if not args.map:

@@ -114,7 +114,8 @@ def _draw_map(axes: Axes, problem: SearchProblem, grid: Grid, cells: np.ndarray[
 def _draw_path(axes: Axes, problem: SearchProblem, record: RunRecord, look: Look) -> None:
     """Draw what the path sees, the path, the start, and the efficiency in the title."""
     waypoints = np.asarray(record.waypoints)
-    seen = shapely.LineString(waypoints).buffer(problem.swath_radius)
+    path = shapely.LineString(waypoints) if len(waypoints) > 1 else shapely.Point(waypoints[0])
+    seen = path.buffer(problem.swath_radius)
     axes.add_patch(patch_from_polygon(seen, facecolor=look.colour, alpha=0.5, linewidth=0))
     x0, y0, x1, y1 = problem.area.bounds
     swath_points = 2.0 * problem.swath_radius / max(x1 - x0, y1 - y0) * _PANEL_INCHES * 72.0

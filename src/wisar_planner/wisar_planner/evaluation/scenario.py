@@ -47,6 +47,27 @@ class Drone:
     swath_radius: float = 2.5
     max_distance: float = 512.0
 
+    def check_step_fits(self, step: str, budget: str) -> None:
+        """Refuse a step that is longer than the longest path.
+
+        Parameters
+        ----------
+        step, budget : str
+            What the user calls the two.
+
+        Raises
+        ------
+        InvalidInput
+            If not one step can be flown.
+        """
+        # A budget that is not positive is a mistake of another kind, which the problem tells.
+        if 0.0 < self.max_distance < self.step_length:
+            raise InvalidInput(
+                f"{step}: {self.step_length:g} m is longer than {budget} of "
+                f"{self.max_distance:g} m, so that not one step can be flown; "
+                "give a shorter step or a larger budget"
+            )
+
     def description(self) -> dict[str, Any]:
         """Return the values for reports and for telling setups apart."""
         return {

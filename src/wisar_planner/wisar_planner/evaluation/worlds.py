@@ -231,7 +231,9 @@ class _Description:
                 checked[key] = value
             else:
                 checked[key] = positive(value, f"{where}: {key}")
-        return cls(**checked)
+        described = cls(**checked)
+        described.drone.check_step_fits(f"{where}: step", "its budget")
+        return described
 
     @property
     def drone(self) -> Drone:
