@@ -38,6 +38,16 @@ def test_a_trained_model_can_be_planned_with_and_training_goes_on(tmp_path, caps
     assert "continuing" in capsys.readouterr().out
 
 
+def test_configurations_of_one_name_have_folders_of_their_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for file, batch in (("first.yaml", 8), ("second.yaml", 16)):
+        (tmp_path / file).write_text(TINY.replace("batch: 8", f"batch: {batch}"))
+        assert main(["train", file, "--seed", "3", "--threads", "1"]) == 0
+        assert "continuing" not in capsys.readouterr().out
+    found = sorted(path.parent for path in (tmp_path / "out").rglob("tiny.safetensors"))
+    assert found == [tmp_path / "out/train/first-3", tmp_path / "out/train/second-3"]
+
+
 def test_mistakes_are_told_in_one_line(tmp_path, capsys) -> None:
     config = tmp_path / "tiny.yaml"
     config.write_text(TINY)

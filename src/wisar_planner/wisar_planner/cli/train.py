@@ -47,7 +47,10 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("config", type=Path, help="YAML file, for example config/sac.yaml")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of the run (default: out/train/NAME-SEED)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the run (default: out/train/FILE-SEED, so out/train/sac-0 for sac.yaml)",
     )
     parser.add_argument("--seed", type=int, metavar="S", help="seed instead of the file's")
     parser.add_argument("--steps", type=int, metavar="N", help="steps instead of the file's")
@@ -81,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
     if args.threads:
         torch.set_num_threads(args.threads)
     device = checked_device(args.device)
-    folder = args.out or Path("out/train") / f"{config.name}-{config.seed}"
+    # By the file, since configurations that improve a policy keep its name.
+    folder = args.out or Path("out/train") / f"{args.config.stem}-{config.seed}"
     training = make_run(config, folder, device)
     if has_checkpoint(folder):
         training.load_checkpoint()
