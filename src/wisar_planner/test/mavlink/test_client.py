@@ -31,6 +31,7 @@ class FakeVehicle:
         self.status = mav.MAV_STATE_STANDBY
         self.beats = True
         self.heard = []
+        self.told = []  # what is to be sent
         for name, value in state.items():
             setattr(self, name, value)
         self._codec = Codec(1, 1)
@@ -83,8 +84,9 @@ class FakeVehicle:
                 data, peer = self._socket.recvfrom(65_535)
                 for message in self._codec.decode(data)[0]:
                     self.heard.append(message)
-                    for out in self.answer(self, message):
-                        self._socket.sendto(self._codec.encode(out), peer)
+                    self.told += self.answer(self, message)
+            while peer is not None and self.told:
+                self._socket.sendto(self._codec.encode(self.told.pop(0)), peer)
 
 
 def run(call, *args, **options):
@@ -391,3 +393,100 @@ def test_a_start_in_flight_on_ardupilot_begins_with_the_first_item(knows_command
         client.start_mission()
         assert vehicle.custom_mode == 3
         assert ("MISSION_SET_CURRENT" in chosen) is not knows_command
+
+
+# -- a mission that is uploaded in flight ---------------------------------------------------------
+
+BRAKE, AUTO = 17, 3
+
+
+class Copter:
+    """What a flying copter of ArduPilot answers: it takes modes and missions, and reads them out.
+
+    Without `takes_items` it stops asking for them.
+    """
+
+    def __init__(self):
+        self.held, self.wanted = (), 0
+        self.takes_items = True
+
+    def __call__(self, vehicle, message):
+        name = message.get_type()
+        if name == "COMMAND_LONG":
+            if message.command == mav.MAV_CMD_DO_SET_MODE:
+                vehicle.custom_mode = int(message.param2)
+            return acknowledge(vehicle, message)
+        if name == "MISSION_COUNT":
+            self.held, self.wanted = (), message.count
+            return self.ask() if self.takes_items else []
+        if name == "MISSION_ITEM_INT" and message.seq == len(self.held):
+            self.held = (*self.held, message)
+            return self.ask()
+        if name == "MISSION_REQUEST_LIST":
+            return [mav.MAVLink_mission_count_message(245, 190, len(self.held))]
+        if name == "MISSION_REQUEST_INT":
+            item = self.held[message.seq]
+            item.target_system, item.target_component = 245, 190
+            return [item]
+        return []
+
+    def ask(self):
+        if len(self.held) < self.wanted:
+            return [mav.MAVLink_mission_request_int_message(245, 190, len(self.held))]
+        return [mav.MAVLink_mission_ack_message(245, 190, mav.MAV_MISSION_ACCEPTED)]
+
+
+@contextlib.contextmanager
+def flying_copter(mode=BRAKE):
+    state = {"autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA, "status": mav.MAV_STATE_ACTIVE}
+    with talking_to(Copter(), armed=True, custom_mode=mode, **state) as (vehicle, client):
+        yield vehicle, client
+
+
+def test_a_mission_uploaded_in_a_pause_is_started_and_not_resumed():
+    """ArduPilot would go on with the item of the old number, and leave out those before."""
+    with flying_copter() as (vehicle, client):
+        client.resume()
+        client.pause()
+        assert client.upload(MISSION).verified
+        with pytest.raises(LinkError, match="a new mission was uploaded since; call start_mission"):
+            client.resume()
+        assert vehicle.custom_mode == BRAKE
+        client.start_mission()  # in the air
+        assert [m.param1 for m in vehicle.commands(mav.MAV_CMD_DO_SET_MISSION_CURRENT)] == [1.0]
+        client.pause()
+        client.resume()
+        assert vehicle.custom_mode == AUTO
+
+
+def test_a_new_mission_that_somebody_else_has_started_may_be_resumed():
+    with flying_copter() as (vehicle, client):
+        assert client.upload(MISSION).verified
+        vehicle.custom_mode = AUTO
+        wait_for(lambda: client.vehicle.custom_mode == AUTO)
+        vehicle.told.append(
+            mav.MAVLink_global_position_int_message(0, 570_000_000, 0, 0, 0, 0, 0, 0, 65535)
+        )
+        wait_for(lambda: client.vehicle.latitude is not None)
+        client.pause()
+        client.resume()
+        assert vehicle.custom_mode == AUTO
+
+
+def test_a_mission_that_an_upload_left_as_it_was_may_be_resumed():
+    with flying_copter(AUTO) as (vehicle, client):
+        assert client.upload(MISSION).code is UploadCode.REFUSED_BEFORE
+        client.pause()
+        vehicle.answer.takes_items = False
+        began = lambda: any(m.get_type() == "MISSION_COUNT" for m in vehicle.heard)  # noqa: E731
+
+        def cancel():
+            if not began():
+                return False
+            vehicle.answer.takes_items = True  # for the old one, which is put back
+            return True
+
+        result = client.upload(MISSION, should_cancel=cancel)
+        assert (result.code, result.old_counts) == (UploadCode.CANCELLED, True), result
+        client.resume()
+        assert vehicle.custom_mode == AUTO

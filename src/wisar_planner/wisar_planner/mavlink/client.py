@@ -51,6 +51,12 @@ class RefusedError(LinkError):
     """The vehicle answered, and refused."""
 
 
+def _flies_its_mission(vehicle: VehicleState) -> bool:
+    return vehicle.armed and flies_mission(
+        vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode
+    )
+
+
 class MissionClient:
     """A ground station's end of the conversation with one vehicle.
 
@@ -118,7 +124,15 @@ class MissionClient:
         self._uploading = threading.Lock()
         self._starting = False
         self._doubtful = False  # whether the last upload left a mission that nobody has verified
+        self._unstarted = False  # whether a mission has been sent that was never flown since
         self._uploaded_at = -math.inf
+
+        def heard(vehicle: VehicleState) -> None:
+            # Another ground station may have started it, or the answer to a start was lost.
+            if _flies_its_mission(vehicle) and not self._uploading.locked():
+                self._unstarted = False
+            on_vehicle(vehicle)
+
         self._link = LinkThread(
             connection,
             Address(system, component),
@@ -126,7 +140,7 @@ class MissionClient:
             target_component=target_component,
             key_file=key_file,
             on_link=on_link,
-            on_vehicle=on_vehicle,
+            on_vehicle=heard,
             on_text=on_text,
         )
 
@@ -245,6 +259,7 @@ class MissionClient:
                 )
             if MissionKind.MISSION in kinds and not result.old_counts:
                 self._doubtful = not result.verified
+                self._unstarted = True
             self._uploaded_at = time.monotonic()
             return result
         finally:
@@ -335,6 +350,7 @@ class MissionClient:
                         raise
                     time.sleep(_START_AGAIN_AFTER_S)
                 else:
+                    self._unstarted = False
                     return
 
     def pause(self) -> None:
@@ -345,13 +361,15 @@ class MissionClient:
     def resume(self) -> None:
         """Go on with the mission from where it was paused.
 
-        On the ground this would make the next arming a takeoff, so that it is refused there.
+        On the ground this would make the next arming a takeoff, so that it is refused there. So it
+        is where another mission was uploaded during the pause: ArduPilot would go on with the item
+        of the same number, and leave out those before.
 
         Raises
         ------
         LinkError
-            If the vehicle is not armed or not in the air, refuses or does not answer, or an upload
-            is in progress.
+            If the vehicle is not armed or not in the air, refuses or does not answer, an upload is
+            in progress, or the mission was uploaded since and has to be started.
         """
         with self._asking("resume") as check, self._as_starting():
             self._request("resume", Intent.RESUME, check, self._against_resuming)
@@ -417,11 +435,7 @@ class MissionClient:
         vehicle = self.vehicle
         if self._starting:
             return "a start of the mission is in progress; wait for its answer, then call pause"
-        if (
-            vehicle is not None
-            and vehicle.armed
-            and flies_mission(vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode)
-        ):
+        if vehicle is not None and _flies_its_mission(vehicle):
             return (
                 "the vehicle is flying its mission and would fly the new one at once; call pause "
                 "first, then upload"
@@ -447,7 +461,10 @@ class MissionClient:
             return "the vehicle is not armed; arm it, then call start_mission"
         if vehicle is not None and vehicle.landed:
             return "the vehicle is on the ground; call start_mission"
-        return self._against_starting(now)
+        why = self._against_starting(now)
+        if not why and self._unstarted:
+            return "a new mission was uploaded since; call start_mission"
+        return why
 
     def _against_arming(self, now: float) -> str:
         vehicle = self.vehicle
