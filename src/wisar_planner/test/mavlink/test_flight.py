@@ -33,14 +33,19 @@ def state(point, current, reached=None, armed=True):
     )
 
 
+def update(tracker, snapshot, now):
+    """Let a tracker take in a snapshot with a position of this moment."""
+    return tracker.update(replace(snapshot, position_at=now), now)
+
+
 def fly(tracker, spacing=1.0):
     now = 0.0
     for leg in range(3):
         a, b = PATH.waypoints[leg], PATH.waypoints[leg + 1]
         for share in np.arange(0.0, 1.0, spacing / np.linalg.norm(b - a)):
             now += 0.2
-            tracker.update(state(a + share * (b - a), FIRST + leg + 1, FIRST + leg), now)
-    return tracker.update(state(PATH.waypoints[-1], FIRST + 3, FIRST + 2), now + 0.2)
+            update(tracker, state(a + share * (b - a), FIRST + leg + 1, FIRST + leg), now)
+    return update(tracker, state(PATH.waypoints[-1], FIRST + 3, FIRST + 2), now + 0.2)
 
 
 def test_a_flight_along_the_plan_sees_what_the_plan_promised():
@@ -58,18 +63,18 @@ def test_the_ways_there_and_back_do_not_count():
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     over_the_peak = PDM.means[0]
     for current in (0, FIRST, FIRST + 4):
-        progress = tracker.update(state(over_the_peak, current), 1.0)
+        progress = update(tracker, state(over_the_peak, current), 1.0)
         assert (progress.probability, progress.flying) == (0.0, False)
-    assert tracker.update(state(over_the_peak, FIRST + 1, armed=False), 2.0).probability == 0.0
-    assert tracker.update(state(over_the_peak, FIRST + 1), 3.0).probability > 0.0
+    assert update(tracker, state(over_the_peak, FIRST + 1, armed=False), 2.0).probability == 0.0
+    assert update(tracker, state(over_the_peak, FIRST + 1), 3.0).probability > 0.0
 
 
 def test_what_happened_in_a_long_silence_is_not_invented():
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION, max_gap_s=3.0)
-    tracker.update(state((0.0, 0.0), FIRST + 1), 0.0)
-    joined = tracker.update(state((8.0, 0.0), FIRST + 1), 2.0)
+    update(tracker, state((0.0, 0.0), FIRST + 1), 0.0)
+    joined = update(tracker, state((8.0, 0.0), FIRST + 1), 2.0)
     assert joined.distance == pytest.approx(8.0, rel=1e-6)
-    gap = tracker.update(state((70.0, 0.0), FIRST + 1), 30.0)
+    gap = update(tracker, state((70.0, 0.0), FIRST + 1), 30.0)
     assert gap.distance == pytest.approx(8.0, rel=1e-6)
     # Two separate stretches: a capsule of 8 m and a disc.
     expected = SearchPath(np.array([[0.0, 0.0], [8.0, 0.0]]), 5.0).seen_probability(PDM)
@@ -77,11 +82,89 @@ def test_what_happened_in_a_long_silence_is_not_invented():
     assert gap.probability == pytest.approx(expected, abs=1e-9)
 
 
+def test_a_position_that_other_messages_repeat_is_as_old_as_it_is():
+    """MISSION_CURRENT goes on coming where GLOBAL_POSITION_INT has fallen silent."""
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION, max_gap_s=3.0)
+    update(tracker, state((0.0, 0.0), FIRST + 1), 0.0)
+    old = replace(state((8.0, 0.0), FIRST + 1), position_at=2.0)
+    for now in range(2, 32):
+        repeated = tracker.update(old, float(now))
+    assert repeated.distance == pytest.approx(8.0, rel=1e-6)
+    after = update(tracker, state((70.0, 0.0), FIRST + 1), 32.0)
+    assert after.distance == pytest.approx(8.0, rel=1e-6)
+    expected = SearchPath(np.array([[0.0, 0.0], [8.0, 0.0]]), 5.0).seen_probability(PDM)
+    expected += SearchPath(np.array([[70.0, 0.0]]), 5.0).seen_probability(PDM)
+    assert after.probability == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_search_does_not_begin_at_a_position_from_long_ago():
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION, max_gap_s=3.0)
+    old = replace(state(PDM.means[0], FIRST + 1), position_at=0.0)
+    assert tracker.update(old, 30.0).probability == 0.0
+    assert tracker.update(old, 2.0).probability > 0.0
+
+
+PX4_HOLD, PX4_MISSION, PX4_RETURN, PX4_BY_HAND = (
+    *(4 << 16 | sub_mode << 24 for sub_mode in (3, 4, 5)),
+    3 << 16,
+)
+PX4 = {"autopilot": mav.MAV_AUTOPILOT_PX4, "vehicle_type": mav.MAV_TYPE_QUADROTOR}
+COPTER = {**PX4, "autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
+PLANE = {**COPTER, "vehicle_type": mav.MAV_TYPE_FIXED_WING}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "in_mission", "others"),
+    [
+        (PX4, PX4_MISSION, (PX4_HOLD, PX4_RETURN, PX4_BY_HAND)),
+        (COPTER, 3, (17, 6, 5)),
+        (PLANE, 10, (12, 11, 0)),
+    ],
+)
+def test_what_is_flown_in_another_mode_is_not_the_mission(vehicle, in_mission, others):
+    """The current item stays in a pause, on the way home and in a flight by hand."""
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+
+    def fly_to(x, mode, now):
+        snapshot = replace(state((x, 0.0), FIRST + 1), custom_mode=mode, **vehicle)
+        return update(tracker, snapshot, now)
+
+    fly_to(0.0, in_mission, 0.0)
+    flown = fly_to(8.0, in_mission, 1.0)
+    assert (flown.flying, flown.left) == (True, False)
+    for number, mode in enumerate(others):
+        now = 2.0 + number
+        away = fly_to(8.0 + 10.0 * now, mode, now)
+        assert (away.flying, away.left) == (False, True)
+        assert (away.distance, away.probability) == (flown.distance, flown.probability)
+    back = fly_to(8.0, in_mission, 6.0)
+    assert (back.flying, back.left, back.distance) == (True, False, flown.distance)
+    assert fly_to(16.0, in_mission, 7.0).distance == pytest.approx(16.0, rel=1e-6)
+
+
+def test_where_modes_are_not_known_the_current_item_tells_it():
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+    progress = update(tracker, replace(state((0.0, 0.0), FIRST + 1), custom_mode=17), 0.0)
+    assert (progress.flying, progress.left) == (True, False)
+
+
+def test_the_return_after_the_whole_search_belongs_to_the_mission():
+    """PX4 flies the mission's last item in the mode of a return to launch."""
+    tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
+    last = len(MISSION.items) - 1
+    way = [(FIRST + 1, PX4_MISSION), (last, PX4_MISSION), (last, PX4_RETURN), (last, PX4_HOLD)]
+    left = []
+    for now, (current, mode) in enumerate(way):
+        snapshot = replace(state((0.0, 30.0), current), custom_mode=mode, **PX4)
+        left.append(update(tracker, snapshot, float(now)).left)
+    assert left == [False, False, False, True]
+
+
 def test_reaching_the_last_item_completes():
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     last = len(MISSION.items) - 1
-    assert not tracker.update(state((0.0, 0.0), 0), 0.0).completed
-    progress = tracker.update(state((0.0, 0.0), last, reached=last, armed=False), 1.0)
+    assert not update(tracker, state((0.0, 0.0), 0), 0.0).completed
+    progress = update(tracker, state((0.0, 0.0), last, reached=last, armed=False), 1.0)
     assert progress.completed
     assert progress.waypoints_reached == 4
 
@@ -93,10 +176,10 @@ def test_a_return_completes_with_the_landing(told):
     reached = last - 1 if told else None  # the message may be lost
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     fly(tracker)
-    progress = tracker.update(state((40.0, 30.0), last, reached=reached), 100.0)
+    progress = update(tracker, state((40.0, 30.0), last, reached=reached), 100.0)
     assert (progress.completed, progress.waypoints_reached) == (False, 4)
     landed = state((0.0, 0.0), last, reached=reached, armed=False)
-    assert tracker.update(landed, 200.0).completed
+    assert update(tracker, landed, 200.0).completed
 
 
 def test_a_loiter_completes_with_the_last_waypoint():
@@ -106,14 +189,14 @@ def test_a_loiter_completes_with_the_last_waypoint():
     tracker = FlightTracker(PDM, PATH, FRAME, mission)
     assert not fly(tracker).completed
     last = len(mission.items) - 1
-    assert tracker.update(state((0.0, 30.0), last, reached=last - 1), 100.0).completed
+    assert update(tracker, state((0.0, 30.0), last, reached=last - 1), 100.0).completed
 
 
 def test_a_flight_that_ends_early_is_not_completed():
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     fly(tracker)
     landed = state((0.0, 0.0), FIRST + 3, reached=FIRST + 2, armed=False)
-    progress = tracker.update(landed, 100.0)
+    progress = update(tracker, landed, 100.0)
     assert (progress.completed, progress.waypoints_reached) == (False, 3)
 
 
@@ -123,14 +206,14 @@ def test_an_earlier_flight_does_not_complete_this_one():
     armed = state((0.0, 0.0), 0, reached=last)
     tracker = FlightTracker(PDM, PATH, FRAME, MISSION)
     for snapshot in (on_ground, armed, armed):
-        progress = tracker.update(snapshot, 1.0)
+        progress = update(tracker, snapshot, 1.0)
         assert (progress.completed, progress.waypoints_reached) == (False, 0)
     assert fly(tracker).waypoints_reached == 3
     landed = state((0.0, 0.0), last, reached=last, armed=False)
-    assert tracker.update(landed, 100.0).completed
+    assert update(tracker, landed, 100.0).completed
     # The same mission, flown again: seen is seen, but its items have to be reached anew.
     seen = tracker.progress.probability
-    again = tracker.update(armed, 200.0)
+    again = update(tracker, armed, 200.0)
     assert (again.completed, again.waypoints_reached) == (False, 0)
     assert again.probability == seen
 

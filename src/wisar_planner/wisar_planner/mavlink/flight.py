@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from wisar_planner.errors import positive
 from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.modes import may_fly_mission, returns_home
 from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.pdm import ProbabilityMap
 from wisar_planner.pdm.geodesy import LocalFrame
@@ -24,7 +25,12 @@ class FlightProgress:
     Parameters
     ----------
     flying
-        Whether the search part of the mission is being flown.
+        Whether the search part of the mission is being flown: where modes are known, in the mode
+        that flies it.
+    left
+        Whether the vehicle is armed in a mode that does not fly the mission: paused, returning or
+        flown by hand. A return after the whole search does not count: PX4 flies the mission's own
+        in the same mode.
     completed
         Whether the mission has been flown to its end: the last item is told to be reached, or the
         whole search has been flown and the vehicle has landed after a return (PX4 does not tell
@@ -40,6 +46,7 @@ class FlightProgress:
     """
 
     flying: bool
+    left: bool
     completed: bool
     waypoints_reached: int
     waypoints_total: int
@@ -102,6 +109,7 @@ class FlightTracker:
         self._told_before: int | None = None  # item reached in an earlier flight
         self._armed: bool | None = None
         self._flying = False
+        self._left = False
         self._was_flying = False
         self._searched = False  # past the last waypoint of the search
 
@@ -115,13 +123,16 @@ class FlightTracker:
         now
             Monotonic time in seconds at which it was heard.
         """
-        self._flying = state.armed and self._on_search(state.current_item)
+        mode = (state.autopilot, state.vehicle_type, state.custom_mode)
+        on_mission = state.armed and may_fly_mission(*mode)
+        self._flying = on_mission and self._on_search(state.current_item)
         self._take_reached(state)
-        if self._flying and state.latitude is not None and state.longitude is not None:
-            point = self._frame.to_local([state.latitude], [state.longitude])[0]
-            self._advance(point, now)
-        else:
+        returning = self._searched and self._returns and returns_home(*mode)
+        self._left = state.armed and not (on_mission or returning)
+        if not self._flying:
             self._last = None
+        elif state.latitude is not None and state.longitude is not None:
+            self._take_position(state.latitude, state.longitude, state.position_at, now)
         return self.progress
 
     def _take_reached(self, state: VehicleState) -> None:
@@ -145,12 +156,18 @@ class FlightTracker:
             return False
         return self._waypoints[0] < current <= self._waypoints[-1]
 
-    def _advance(self, point: NDArray[np.float64], now: float) -> None:
-        if self._last is None or now - self._last_at > self._max_gap_s:
+    def _take_position(self, latitude: float, longitude: float, at: float, now: float) -> None:
+        """Go on to a position; snapshots repeat it until the vehicle tells another one."""
+        is_taken = self._last is not None and at == self._last_at
+        if not is_taken and now - at <= self._max_gap_s:
+            self._advance(self._frame.to_local([latitude], [longitude])[0], at)
+
+    def _advance(self, point: NDArray[np.float64], at: float) -> None:
+        if self._last is None or at - self._last_at > self._max_gap_s:
             self._seen.add(point, point)
-            self._last, self._last_at = point, now
+            self._last, self._last_at = point, at
             return
-        self._last_at = now
+        self._last_at = at
         step = float(math.hypot(*(point - self._last)))
         if step < self._STEP_IN_SWATH_RADII * self._seen.swath_radius:
             return
@@ -165,6 +182,7 @@ class FlightTracker:
         reached = sum(number <= last for number in self._waypoints)
         return FlightProgress(
             flying=self._flying,
+            left=self._left,
             completed=self._reached >= self._last_item
             or (self._searched and not (self._returns and self._armed)),
             waypoints_reached=reached,

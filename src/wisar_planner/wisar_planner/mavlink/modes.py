@@ -149,6 +149,23 @@ def flies_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
     return False
 
 
+def may_fly_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
+    """Whether a vehicle in this mode flies its mission; True where modes are not known."""
+    known = autopilot in (mav.MAV_AUTOPILOT_PX4, mav.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    return not known or flies_mission(autopilot, vehicle_type, custom_mode)
+
+
+def returns_home(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
+    """Whether a vehicle in this mode returns to its launch place; False where not known."""
+    if autopilot == mav.MAV_AUTOPILOT_PX4:
+        sub_mode = _PX4_SUB_MODES[Intent.RETURN]
+        return custom_mode & 0xFFFF0000 == _custom_mode(_PX4_AUTO, sub_mode, autopilot)
+    if autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        modes = _PLANE_MODES if vehicle_type in _PLANE_TYPES else _COPTER_MODES
+        return custom_mode == int(modes[Intent.RETURN])
+    return False
+
+
 def flies_by_itself(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
     """Whether a vehicle in this mode flies off once it is armed; False where not known."""
     if autopilot == mav.MAV_AUTOPILOT_PX4:
