@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from wisar_planner.errors import FloatArray
 from wisar_planner.evaluation.scenario import Scenario, persons_in_area
 from wisar_planner.planners.base import Planner
 from wisar_planner.planners.registry import make_planner, planner_options
+from wisar_planner.policy.model import find_model
 from wisar_planner.search import SearchPath, SearchProblem, distance_to_find, upper_bound
 from wisar_planner.search.path import walking_distances
 
@@ -21,6 +23,11 @@ CURVE_STEPS = 50
 
 #: Bins of the distance to find over the longest path: a quantile is off by less than 0.4 % of it.
 FIND_BINS = 256
+
+#: What tells trained policies of one name or path apart, in `PlannerSpec.identity`.
+MODEL_HASH = "model_sha256"
+
+_MODEL_OPTION = "model"
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,21 @@ class PlannerSpec:
         """Return all options with the values that the planner uses, ready for JSON."""
         planner = self.make()
         return {name: getattr(planner, name) for name in planner_options(self.name)}
+
+    def identity(self) -> dict[str, Any]:
+        """Return `resolved` and, of a trained policy, the SHA-256 of its file as `MODEL_HASH`.
+
+        Raises
+        ------
+        InvalidInput
+            If the policy's file is not there.
+        """
+        options = self.resolved()
+        if _MODEL_OPTION not in options:
+            return options
+        # Further training writes other weights to the same path.
+        content = find_model(options[_MODEL_OPTION]).read_bytes()
+        return {**options, MODEL_HASH: hashlib.sha256(content).hexdigest()}
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """Finished runs on disk: an append-only file that an evaluation continues from.
 
 One JSON object per line: first the setup, then finished runs and, before the first run of
-a planner, the options that it was made with. A line is written in one go as soon as its
-run is finished, so stopping at any moment loses the runs in flight and no more.
+a planner, the options that it was made with and the hash of its trained policy. A line is
+written in one go as soon as its run is finished, so stopping at any moment loses the runs in
+flight and no more.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.evaluation.run import PlannerSpec, RunRecord
+from wisar_planner.evaluation.run import MODEL_HASH, PlannerSpec, RunRecord
 
 #: How the first line begins.
 _HEADER = b'{"setup": '
@@ -46,8 +47,8 @@ class RunStore:
     Raises
     ------
     InvalidInput
-        If the file holds runs of another setup or of other options of a planner, or is not
-        such a file at all.
+        If the file holds runs of another setup, of other options of a planner or of another
+        trained policy, or is not such a file at all.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class RunStore:
         self.path = path
         self.records: list[RunRecord] = []
         self._setup = dict(setup)
-        self._planners = {spec.name: spec.resolved() for spec in planners}
+        self._planners = {spec.name: spec.identity() for spec in planners}
         self._options: dict[str, dict[str, Any]] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
@@ -71,7 +72,8 @@ class RunStore:
         """Add finished runs and hand them to the operating system."""
         for record in records:
             options = self._planners[record.planner]
-            if record.planner not in self._options:
+            # A line of an earlier version, without the hash, is followed by one that has it.
+            if self._options.get(record.planner) != options:
                 self._write({"planner": record.planner, "options": options})
                 self._options[record.planner] = options
             self._write({"run": asdict(record)})
@@ -120,7 +122,11 @@ class RunStore:
             self._check(line["setup"], self._setup, "setup")
         elif "planner" in line:
             name, options = line["planner"], line["options"]
-            self._check(options, self._planners.get(name, options), f"{name} with")
+            wanted = self._planners.get(name, options)
+            if MODEL_HASH not in options:
+                # Earlier versions kept none, so nobody knows which policy it was.
+                wanted = {key: value for key, value in wanted.items() if key != MODEL_HASH}
+            self._check(options, wanted, f"{name} with")
             self._options[name] = options
         else:
             record = RunRecord(**line["run"])
