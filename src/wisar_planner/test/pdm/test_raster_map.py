@@ -1,4 +1,5 @@
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.pdm import Grid, RasterMap
+from wisar_planner.pdm import Grid, RasterMap, raster_map
 
 
 def example(seed=0, rows=7, columns=9, cell=3.0):
@@ -132,6 +133,36 @@ def test_samples_follow_the_cells():
     np.testing.assert_allclose(drawn, raster.probability / 0.9, atol=0.01)
     inside = (points - (-4.0, 2.0)) / 3.0 - cells
     np.testing.assert_allclose(inside.mean(axis=0), 0.5, atol=0.01)
+
+
+def drawn_at_once(raster, count, rng):
+    """The draws with all their noise in memory."""
+    rows = np.log(raster.probability.sum(axis=1)) + rng.gumbel(size=(count, raster.grid.rows))
+    rows = rows.argmax(axis=1)
+    noise = rng.gumbel(size=(count, raster.grid.columns))
+    columns = (np.log(raster.probability)[rows] + noise).argmax(axis=1)
+    cells = np.column_stack([columns, rows]) + rng.random((count, 2))
+    return (raster.grid.x0, raster.grid.y0) + cells * raster.grid.cell
+
+
+@pytest.mark.parametrize("most", [1, 40, 700, 10**7])
+@pytest.mark.parametrize("count", [0, 1, 333])
+def test_draws_in_pieces_are_the_draws_at_once(monkeypatch, most, count):
+    monkeypatch.setattr(raster_map, "_MOST_NOISE", most)
+    raster, first, second = example(), np.random.default_rng(8), np.random.default_rng(8)
+    np.testing.assert_array_equal(raster.sample(count, first), drawn_at_once(raster, count, second))
+    assert first.random() == second.random()
+
+
+def test_many_draws_on_a_large_raster_take_little_memory(monkeypatch):
+    monkeypatch.setattr(raster_map, "_MOST_NOISE", 10_000)
+    raster = example(rows=500, columns=400)
+    tracemalloc.start()
+    raster.sample(5000, np.random.default_rng(0))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # All the noise of the rows would be 20 MB; the logarithms of the cells are 1.6.
+    assert peak < 4e6
 
 
 def test_empty_cells_are_never_drawn():

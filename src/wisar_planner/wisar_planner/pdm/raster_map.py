@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,9 @@ from wisar_planner.pdm.protocol import DensityPieces, IntArray
 
 # Squares that `density_pieces` cuts cells into, unless the cells alone are more.
 _MOST_PIECES = 200_000
+
+# Numbers that `sample` holds in an array at a time.
+_MOST_NOISE = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +120,12 @@ class RasterMap:
         with np.errstate(divide="ignore"):
             log_rows = np.log(self._prefix[:, -1])
             log_cells = np.log(self.probability)
-        rows = (log_rows + rng.gumbel(size=(count, self.grid.rows))).argmax(axis=1)
-        noise = rng.gumbel(size=(count, self.grid.columns))
-        columns = (log_cells[rows] + noise).argmax(axis=1)
+        rows = np.empty(count, np.int64)
+        for chunk, noise in _noise(count, self.grid.rows, rng):
+            rows[chunk] = (log_rows + noise).argmax(axis=1)
+        columns = np.empty(count, np.int64)
+        for chunk, noise in _noise(count, self.grid.columns, rng):
+            columns[chunk] = (log_cells[rows[chunk]] + noise).argmax(axis=1)
         cells = np.column_stack([columns, rows]) + rng.random((count, 2))
         return np.asarray((self.grid.x0, self.grid.y0) + cells * self.grid.cell)
 
@@ -174,6 +181,18 @@ class RasterMap:
             areas=np.minimum(covered[within], 1.0) * part**2,
             densities=cells[within[0] // parts, within[1] // parts] / grid.cell**2,
         )
+
+
+def _noise(count: int, width: int, rng: np.random.Generator) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield Gumbel noise, (count, width) in all, some rows at a time, and which rows they are.
+
+    The generator gives the same numbers in pieces as at once, so the draws do not depend on the
+    size of a piece; all at once would be gigabytes for many draws on a large raster.
+    """
+    height = max(1, _MOST_NOISE // width)
+    for first in range(0, count, height):
+        chunk = slice(first, min(first + height, count))
+        yield chunk, rng.gumbel(size=(chunk.stop - first, width))
 
 
 def _shared_out(amounts: FloatArray, old: FloatArray, new: FloatArray) -> FloatArray:
