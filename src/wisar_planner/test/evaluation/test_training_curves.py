@@ -17,13 +17,19 @@ from wisar_planner.training.sac.run import SacRun
 from wisar_planner.training.streams import fresh_generator
 
 
-def curve(policy: str, seed: int, *points: tuple[float, float]) -> TrainingCurve:
+def curve(policy: str, seed: int, *points: tuple[float, float], **config) -> TrainingCurve:
     """Make a curve of points (minutes, e_p); the share is three times e_p."""
     validations = [
         Validation(1000 * (i + 1), i, 60.0 * minutes, e_p, 3.0 * e_p, {})
         for i, (minutes, e_p) in enumerate(points)
     ]
-    return TrainingCurve(policy, seed, validations)
+    return TrainingCurve(policy, seed, validations, config={"seed": seed, **config})
+
+
+def lines_of(*curves: TrainingCurve) -> list[tuple[str, int]]:
+    """Return the names and numbers of runs of the lines of the table, sorted."""
+    rows = [row.split(" | ") for row in markdown(curves).splitlines()[2:]]
+    return sorted((row[0].removeprefix("| "), int(row[1])) for row in rows)
 
 
 def test_the_table_has_mean_and_spread_over_seeds_best_first() -> None:
@@ -36,6 +42,45 @@ def test_the_table_has_mean_and_spread_over_seeds_best_first() -> None:
     ).splitlines()
     assert table[2] == "| sac | 2 | 3,000 | 3.0 | 2.0 | 0.2850 ± 0.0071 | 85.5 ± 2.1% |"
     assert table[3] == "| mlp | 1 | 2,000 | 2.0 | not reached | 0.2600 | 78.0% |"
+
+
+POINT = (1.0, 0.2)
+
+
+def test_runs_of_other_configurations_are_no_seeds() -> None:
+    runs = [
+        curve("sac", 0, POINT, steps=600_000, sac={"rate": 0.1}),
+        curve("sac", 1, POINT, steps=600_000, sac={"rate": 0.1}),
+        curve("sac", 0, POINT, steps=60_000, sac={"rate": 0.1}),
+        curve("paper", 0, POINT, steps=60_000),
+    ]
+    assert lines_of(*runs) == [("paper", 1), ("sac, steps 60,000", 1), ("sac, steps 600,000", 2)]
+    labels = [text.get_text() for text in draw(runs).axes[0].get_legend().get_texts()]
+    assert labels == ["sac, steps 600,000", "sac, steps 60,000", "paper"]
+    runs.append(curve("sac", 0, POINT, steps=60_000, sac={"rate": 0.2}))
+    assert lines_of(*runs)[1:] == [
+        ("sac, steps 60,000, sac rate 0.1", 1),
+        ("sac, steps 60,000, sac rate 0.2", 1),
+        ("sac, steps 600,000, sac rate 0.1", 2),
+    ]
+
+
+def test_a_name_takes_only_what_tells_configurations_apart() -> None:
+    few = curve("sac", 0, POINT, steps=10, batch=1, worlds={"paper_share": 0.5, "cells": [1, 2]})
+    many = curve("sac", 0, POINT, steps=20, batch=2, worlds={"paper_share": 0.5, "cells": [1, 3]})
+    assert lines_of(few, many) == [("sac, steps 10 and 2 more", 1), ("sac, steps 20 and 2 more", 1)]
+    older = curve("sac", 0, POINT, steps=10, batch=1, worlds={"paper_share": 0.5})
+    assert lines_of(few, older) == [("sac, no worlds cells", 1), ("sac, worlds cells [1, 2]", 1)]
+
+
+def test_improvements_of_the_runs_of_their_seeds_are_one_line() -> None:
+    starts = [f"out/train/sac-{seed}/sac.safetensors" for seed in range(3)]
+    runs = [curve("sac, improved", seed, POINT, start=starts[seed]) for seed in range(3)]
+    assert lines_of(*runs) == [("sac, improved", 3)]
+    other = curve("sac, improved", 0, POINT, start="models/sac_plain.safetensors")
+    assert [seeds for _, seeds in lines_of(*runs, other)] == [1, 3]
+    same = [curve("sac, improved", seed, POINT, start=starts[1]) for seed in range(3)]
+    assert lines_of(*same) == [("sac, improved", 3)]
 
 
 def test_the_figure_has_a_line_per_run_in_both_views() -> None:
@@ -58,7 +103,7 @@ def test_a_curve_comes_from_the_folder_of_a_run(tmp_path, config, policy) -> Non
     validation = vars(Validation(10, 1, 2.0, 0.1, 0.3, {}))
     write_checkpoint(tmp_path, {}, {"config": config, "validations": [validation]})
     read = read_curve(tmp_path)
-    assert (read.policy, read.seed) == (policy, 4)
+    assert (read.policy, read.seed, read.config) == (policy, 4, config)
     assert read.best.share == 0.3
 
 

@@ -16,7 +16,8 @@ examples:
   wisar curves out/train/sac-* --fresh-maps 2048
       judged on maps that chose nothing: neither the weights nor the best validation
 
-Runs of one configuration that differ in the seed are one line of the table."""
+Runs of one configuration that differ in the seed are one line of the table; where runs of one name
+differ in more, their lines say in what."""
 
 
 def add_parser(subparsers: Any) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -43,12 +44,15 @@ class TrainingCurve:
         In the order of the training; at least one.
     fresh_share : float, optional
         Mean share of the bound on fresh maps, where the run's last policy was flown there.
+    config : mapping
+        The configuration; runs of one policy that differ in more than the seed are compared.
     """
 
     policy: str
     seed: int
     validations: Sequence[Validation]
     fresh_share: float | None = None
+    config: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def best(self) -> Validation:
@@ -83,6 +87,7 @@ def read_curve(folder: Path) -> TrainingCurve:
         policy=", ".join(filter(None, parts)),
         seed=config["seed"],
         validations=[Validation(**each) for each in counters["validations"]],
+        config=config,
     )
 
 
@@ -112,7 +117,7 @@ def fly_fresh_maps(curve: TrainingCurve, folder: Path, maps: int) -> TrainingCur
 
 
 def markdown(curves: Sequence[TrainingCurve]) -> str:
-    """Return a table with a line per policy, the best first; ± is the spread over seeds."""
+    """Return a table with a line per configuration, the best first; ± is the spread over seeds."""
     lines = [
         f"| policy | seeds | steps | minutes | minutes to e_p {GOAL} | e_p | share of the bound |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -120,7 +125,7 @@ def markdown(curves: Sequence[TrainingCurve]) -> str:
     flown = all(curve.fresh_share is not None for curve in curves)
     if flown:
         lines = [f"{lines[0]} of the last, on fresh maps |", f"{lines[1]} ---: |"]
-    groups = _by_policy(curves)
+    groups = _by_configuration(curves)
     for policy in sorted(groups, key=lambda name: -_mean(c.best.share for c in groups[name])):
         runs = groups[policy]
         last = [run.validations[-1] for run in runs]
@@ -141,7 +146,7 @@ def markdown(curves: Sequence[TrainingCurve]) -> str:
 def draw(curves: Sequence[TrainingCurve]) -> Figure:
     """Return the share of the bound over samples and over time, a line per run."""
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
-    groups = _by_policy(curves)
+    groups = _by_configuration(curves)
     styles = looks(list(groups))
     views: tuple[tuple[str, Callable[[Validation], float], Formatter], ...] = (
         ("steps flown", lambda each: each.steps, EngFormatter(sep="")),
@@ -175,11 +180,69 @@ def draw(curves: Sequence[TrainingCurve]) -> Figure:
     return figure
 
 
-def _by_policy(curves: Iterable[TrainingCurve]) -> dict[str, list[TrainingCurve]]:
-    groups: dict[str, list[TrainingCurve]] = {}
+def _by_configuration(curves: Sequence[TrainingCurve]) -> dict[str, list[TrainingCurve]]:
+    """Return runs that differ in the seed alone, by their policy and what else tells them apart."""
+    policies: dict[str, list[TrainingCurve]] = {}
     for curve in curves:
-        groups.setdefault(curve.policy, []).append(curve)
+        policies.setdefault(curve.policy, []).append(curve)
+    groups: dict[str, list[TrainingCurve]] = {}
+    for policy, runs in policies.items():
+        fields = [_fields_without_seed(run, runs) for run in runs]
+        for run, what in zip(runs, _differences(fields), strict=True):
+            groups.setdefault(", ".join(filter(None, (policy, what))), []).append(run)
     return groups
+
+
+def _fields_without_seed(curve: TrainingCurve, runs: Sequence[TrainingCurve]) -> dict[str, Any]:
+    """Return the values of a run's configuration, without what differs from seed to seed."""
+    fields = dict(_flat(curve.config))
+    fields.pop("seed", None)
+    start = fields.get("start")
+    if start and not any(
+        run.config.get("start") == start for run in runs if run.seed != curve.seed
+    ):
+        # Each seed of an improvement starts from the run of the same seed, out/train/sac-SEED.
+        own = f"-{curve.seed}"
+        fields["start"] = str(Path(*(part.removesuffix(own) for part in Path(start).parts)))
+    return fields
+
+
+def _flat(config: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the names, in words, and values of a configuration and those inside it."""
+    for name, value in config.items():
+        words = f"{above}{name.replace('_', ' ')}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{words} ")
+        else:
+            yield words, value
+
+
+def _differences(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return in a few words what tells each run's fields from the others', as far as they differ.
+
+    The first fields that tell all apart are named, and further ones that differ are counted.
+    """
+    names = dict.fromkeys(name for run in runs for name in run)
+    told = {name: [_told(name, run.get(name)) for run in runs] for name in names}
+    differing = [name for name in names if len(set(told[name])) > 1]
+    shown: list[str] = []
+    kinds = 1
+    for name in differing:
+        finer = len(set(zip(*(told[each] for each in (*shown, name)), strict=True)))
+        if finer > kinds:
+            shown.append(name)
+            kinds = finer
+    more = len(differing) - len(shown)
+    rest = f" and {more} more" if more else ""
+    return [", ".join(told[name][i] for name in shown) + rest for i in range(len(runs))]
+
+
+def _told(name: str, value: Any) -> str:
+    """Return a field and its value in words."""
+    if value is None or value == "":
+        return f"no {name}"
+    number = isinstance(value, int) and not isinstance(value, bool)
+    return f"{name} {value:,}" if number else f"{name} {value}"
 
 
 def _mean(values: Iterable[float]) -> float:
