@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +32,25 @@ from wisar_planner.mavlink.vehicle import VehicleState
 from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import LocatedMap, Plan
 from wisar_planner.nodes.latest_map import LatestMap
-from wisar_planner.nodes.qos import LATCHED
+from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.pdm.geodesy import LocalFrame
 
 Result = UploadMission.Result
 STATUS_PERIOD = 1.0
 """Seconds between two `mission_status` messages when nothing changes."""
+
+
+@dataclass(frozen=True)
+class _LocatedMission:
+    """A mission with what it was made from, so that a later plan and its map do not matter.
+
+    The map is None where it had not arrived by then.
+    """
+
+    plan: Plan
+    mission: Mission
+    located: LocatedMap | None
 
 
 class MavlinkBridge(Node):
@@ -53,9 +66,10 @@ class MavlinkBridge(Node):
         self._plan: Plan | None = None
         self._maps = LatestMap(self)
         self._map: LocatedMap | None = None  # of the last plan; the last one until that is here
-        self._verified: tuple[Plan, Mission] | None = None  # what the vehicle holds
+        self._verified: _LocatedMission | None = None  # what the vehicle holds
         self._tracker: FlightTracker | None = None  # of that
-        self._unwritten = False  # whether plan files wait for the plan's map
+        self._under_way = False  # whether a flight of that has begun and not ended
+        self._files_wait = ""  # why the plan's files are not written yet; empty if they are
         self._state = MissionStatus.NO_LINK
         self._text = "no heartbeat heard yet"
         self._map_id = ""
@@ -73,7 +87,7 @@ class MavlinkBridge(Node):
             on_vehicle=self._on_vehicle,
             on_text=self._on_text,
         )
-        self.create_subscription(ProbabilityMap, "pdm", self._on_map, LATCHED)
+        self.create_subscription(ProbabilityMap, "pdm", self._on_map, ALL_LATCHED)
         self.create_subscription(SearchPlan, "plan", self._on_plan, LATCHED)
         group = ReentrantCallbackGroup()
         self._action = ActionServer(
@@ -90,7 +104,7 @@ class MavlinkBridge(Node):
             self.create_service(Trigger, name, request, callback_group=group)
         # By the steady clock: a vehicle's link is lost in real time, whatever time is simulated.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(STATUS_PERIOD, self._publish_status, clock=steady)
+        self.create_timer(STATUS_PERIOD, self._on_timer, clock=steady)
 
     def close(self) -> None:
         """End the connection; an upload under way is cancelled, see `MissionClient.close`."""
@@ -200,10 +214,11 @@ class MavlinkBridge(Node):
         if self._plan is None or self._map_of(self._plan) is None or self._is_of_plan(located):
             self._map = located
         # Topics keep no order: what needs the map may have come before it.
-        if self._unwritten and self._is_of_plan(located):
+        if self._files_wait:
             self._write_plan_files()
-        if self._tracker is None and self._verified is not None:
-            self._track(*self._verified)
+        verified = self._verified
+        if self._tracker is None and verified is not None:
+            self._track(verified)
         self._publish_status()
 
     def _is_of_plan(self, located: LocatedMap) -> bool:
@@ -227,18 +242,19 @@ class MavlinkBridge(Node):
         self._write_plan_files()
 
     def _write_plan_files(self) -> None:
-        """Write the files of the last plan; with a fence they wait for its map."""
+        """Write the files of the last plan, once what its mission needs is here."""
         plan = self._plan
         names = [name.strip() for name in self._value("plan_files").split(",") if name.strip()]
         if plan is None or not names:
             return
-        self._unwritten = bool(self._value("fence")) and self._map_of(plan) is None
-        if self._unwritten:
-            self.get_logger().info(f"plan files wait for the map {plan.map_id!r} and its area")
+        before, self._files_wait = self._files_wait, self._lacking(plan)
+        if self._files_wait:
+            if self._files_wait != before:  # it is tried again each second
+                self.get_logger().info(f"plan files wait for {self._files_wait}")
             return
         for name in names:
             try:
-                mission = self._mission(plan)
+                mission = self._mission(plan, self._map_of(plan))
                 write_plan_file(Path(name), mission)
             except (InvalidInput, OSError) as error:
                 self.get_logger().error(f"plan file not written: {error}")
@@ -246,8 +262,16 @@ class MavlinkBridge(Node):
                 text = "; ".join((f"plan file {name} written", *mission.cautions))
                 self.get_logger().info(text)
 
-    def _mission(self, plan: Plan) -> Mission:
-        """Build the mission of a plan with the parameters, or raise InvalidInput."""
+    def _lacking(self, plan: Plan) -> str:
+        """Return what the mission of a plan needs and is not known yet; empty if nothing."""
+        if self._value("fence") and self._map_of(plan) is None:
+            return f"the map {plan.map_id!r} and its area"
+        if self._value("rally") and self._launch_place() is None:
+            return "the vehicle's position, which tells the launch point"
+        return ""
+
+    def _mission(self, plan: Plan, located: LocatedMap | None) -> Mission:
+        """Build the mission of a plan and its map with the parameters, or raise InvalidInput."""
         value = self._value
         settings = MissionSettings(
             altitude_m=value("altitude") or None,
@@ -261,7 +285,6 @@ class MavlinkBridge(Node):
             fence_margin_m=value("fence_margin"),
             rally=value("rally"),
         )
-        located = self._map_of(plan)
         return search_mission(
             plan.path,
             LocalFrame(plan.origin),
@@ -313,16 +336,20 @@ class MavlinkBridge(Node):
                 Result.WRONG_MAP,
                 f"the last plan is of map {plan.map_id!r}, not of {goal.request.map_id!r}",
             )
+        # A new plan's map may take its place during the upload.
+        located = self._map_of(plan)
         try:
-            mission = self._mission(plan)
+            mission = self._mission(plan, located)
             reasons = self._reasons_against(mission)
         except InvalidInput as error:
             reasons = (str(error),)
         if reasons:
             return self._refuse(goal, Result.UNSAFE, "; ".join(reasons))
-        return self._upload(goal, plan, mission)
+        return self._upload(goal, _LocatedMission(plan, mission, located))
 
-    def _upload(self, goal: ServerGoalHandle, plan: Plan, mission: Mission) -> UploadMission.Result:
+    def _upload(self, goal: ServerGoalHandle, wanted: _LocatedMission) -> UploadMission.Result:
+        mission = wanted.mission
+
         def on_progress(progress: UploadProgress) -> None:
             items = (progress.items_sent, progress.items_total)
             if items != self._items:
@@ -341,8 +368,9 @@ class MavlinkBridge(Node):
             clear_old=self._value("clear_old"),
         )
         if outcome.verified:
-            self._map_id, self._verified = plan.map_id, (plan, mission)
-            self._track(plan, mission)
+            self._map_id, self._verified = wanted.plan.map_id, wanted
+            self._under_way = False
+            self._track(wanted)
             count = len(mission.items)
             notes = (*outcome.notes, *mission.cautions)
             text = "; ".join((f"{count} items uploaded, read back and equal", *notes))
@@ -354,7 +382,8 @@ class MavlinkBridge(Node):
             self._map_id, self._verified, self._tracker = "", None, None
         text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))
         self.get_logger().error(f"upload failed: {text}")
-        if int(outcome.code) == Result.UNSAFE:  # the mission was not touched
+        # An objection may also come to a later attempt, after a part has been overwritten.
+        if int(outcome.code) == Result.UNSAFE and outcome.old_counts:
             self._set_state(*before)
         elif int(outcome.code) != Result.BUSY:  # the state is that of the other upload
             self._set_state(MissionStatus.FAILED, text, (0, len(mission.items)))
@@ -371,13 +400,14 @@ class MavlinkBridge(Node):
 
     # The flight
 
-    def _track(self, plan: Plan, mission: Mission) -> None:
+    def _track(self, verified: _LocatedMission) -> None:
         """Follow the flight of a verified mission, if the map of its plan is here."""
-        located = self._map_of(plan)
+        plan = verified.plan
+        located = verified.located or self._map_of(plan)
         self._tracker = (
             None
             if located is None
-            else FlightTracker(located.pdm, plan.path, LocalFrame(plan.origin), mission)
+            else FlightTracker(located.pdm, plan.path, LocalFrame(plan.origin), verified.mission)
         )
 
     def _on_vehicle(self, vehicle: VehicleState) -> None:
@@ -390,12 +420,23 @@ class MavlinkBridge(Node):
             return
         flown = self._state in (MissionStatus.VERIFIED, MissionStatus.FLYING)
         if progress.completed and flown:
+            self._under_way = False
             self._set_state(MissionStatus.COMPLETED, "the mission has been flown", items)
-        elif self._state == MissionStatus.FLYING and not vehicle.armed:
+        elif self._under_way and not vehicle.armed:
+            self._under_way = False
             text = f"the flight ended after {items[0]} of {items[1]} waypoints"
-            self._set_state(MissionStatus.VERIFIED, f"{text}; the mission is still there", items)
             self.get_logger().warning(text)
+            if flown:
+                text += "; the mission is still there"
+                self._set_state(MissionStatus.VERIFIED, text, items)
+        elif self._state == MissionStatus.FLYING and progress.left:
+            text = (
+                f"armed, but the mission is not being flown now, after {items[0]} of {items[1]} "
+                "waypoints; resume goes on with it"
+            )
+            self._set_state(MissionStatus.VERIFIED, text, items)
         elif progress.flying and (self._state != MissionStatus.FLYING or items != self._items):
+            self._under_way = True
             self._set_state(MissionStatus.FLYING, "the verified mission is being flown", items)
 
     def _on_text(self, severity: int, text: str) -> None:
@@ -446,6 +487,11 @@ class MavlinkBridge(Node):
         self._state, self._text, self._items = state, text, items
         self._publish_status()
 
+    def _on_timer(self) -> None:
+        if self._files_wait:
+            self._write_plan_files()
+        self._publish_status()
+
     def _publish_status(self) -> None:
         vehicle = self._client.vehicle
         link = self._client.link_status
@@ -453,7 +499,8 @@ class MavlinkBridge(Node):
         if vehicle is not None and vehicle.latitude is not None and vehicle.longitude is not None:
             position = (vehicle.latitude, vehicle.longitude, vehicle.relative_altitude)
         counters = self._client.counters
-        flight = None if self._tracker is None else self._tracker.progress
+        tracker = self._tracker  # read once, as an upload may take it away meanwhile
+        flight = None if tracker is None else tracker.progress
         self._status_publisher.publish(
             MissionStatus(
                 header=conversions.header(self.get_clock().now().nanoseconds, "wgs84"),

@@ -1,0 +1,261 @@
+"""The bridge in this process, with a client that does what a test says: the states it tells."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from pymavlink.dialects.v20 import common as mav
+from rclpy.parameter import Parameter
+
+from wisar_msgs.action import UploadMission
+from wisar_msgs.msg import MissionStatus
+from wisar_planner.mavlink.client import LinkStatus
+from wisar_planner.mavlink.codec import Counters
+from wisar_planner.mavlink.outcome import UploadCode, UploadProgress, UploadResult
+from wisar_planner.mavlink.vehicle import VehicleState
+from wisar_planner.nodes import conversions, mavlink_bridge
+from wisar_planner.nodes.conversions import LocatedMap, Plan
+from wisar_planner.nodes.mavlink_bridge import MavlinkBridge
+from wisar_planner.pdm import GaussianMixture
+from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
+from wisar_planner.search import SearchArea, SearchPath
+
+ORIGIN = GeoOrigin(56.8, -5.0)
+WAYPOINTS = np.array([[0.0, 0.0], [80.0, 0.0], [80.0, 30.0]])
+FIRST = 2  # takeoff and speed stand before the waypoints
+HOLD, IN_MISSION = (4 << 16 | sub_mode << 24 for sub_mode in (3, 4))
+
+VERIFIED = UploadResult(UploadCode.VERIFIED, old_counts=False)
+
+
+class FakeClient:
+    """A client whose vehicle and whose uploads are what a test says."""
+
+    def __init__(self, _connection: str, *, on_vehicle: Callable[[VehicleState], None], **_: Any):
+        self._on_vehicle = on_vehicle
+        self.vehicle: VehicleState | None = None
+        self.link_status = LinkStatus(True, "linked")
+        self.counters = Counters()
+        self.outcome = VERIFIED
+        self.during: Callable[[], None] = lambda: None  # what happens during an upload
+
+    def upload(
+        self, mission: object, *, on_progress: Callable[[UploadProgress], None], **_: Any
+    ) -> UploadResult:
+        on_progress(UploadProgress("sending mission", 1, 0, 6, 1))
+        self.during()
+        return self.outcome
+
+    def tell(self, **changes: Any) -> None:
+        """Let the vehicle tell something, and where it is."""
+        before = self.vehicle or VehicleState(
+            1, 1, mav.MAV_AUTOPILOT_PX4, mav.MAV_TYPE_QUADROTOR, HOLD
+        )
+        now = time.monotonic()
+        here = {"latitude": ORIGIN.latitude, "longitude": ORIGIN.longitude, "position_at": now}
+        self.vehicle = replace(before, heard_at=now, **(here | changes))
+        self._on_vehicle(self.vehicle)
+
+    def ask(self) -> None:
+        """Accept whatever is asked for."""
+
+    arm = start_mission = pause = resume = return_to_launch = close = ask
+
+
+@pytest.fixture
+def bridge(monkeypatch: pytest.MonkeyPatch) -> Iterator[MavlinkBridge]:
+    monkeypatch.setattr(mavlink_bridge, "MissionClient", FakeClient)
+    rclpy.init(args=[])
+    node = MavlinkBridge()
+    node._client.tell()
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def give_map(bridge: MavlinkBridge, map_id: str, seconds: int = 1) -> None:
+    mixture = GaussianMixture([1.0], [[40.0, 20.0]], [[[400.0, 0.0], [0.0, 300.0]]])
+    area = SearchArea.rectangle(-50.0, -50.0, 150.0, 150.0)
+    located = LocatedMap(map_id, mixture, area, ORIGIN, seconds * 1_000_000_000)
+    bridge._on_map(conversions.map_to_msg(located))
+
+
+def give_plan(bridge: MavlinkBridge, map_id: str) -> None:
+    plan = Plan(
+        path=SearchPath(WAYPOINTS, 5.0),
+        map_id=map_id,
+        origin=ORIGIN,
+        probability=np.array([0.0, 0.3, 0.4]),
+        start=WAYPOINTS[0],
+        step_length=10.0,
+        budget=200.0,
+        probability_in_area=0.9,
+        probability_efficiency=0.5,
+        upper_bound=0.8,
+        planning_time=1.0,
+    )
+    bridge._on_plan(conversions.plan_to_msg(plan))
+
+
+def upload(bridge: MavlinkBridge, outcome: UploadResult = VERIFIED) -> UploadMission.Result:
+    bridge._client.outcome = outcome
+    goal = SimpleNamespace(
+        request=UploadMission.Goal(),
+        is_cancel_requested=False,
+        publish_feedback=lambda _: None,
+        succeed=lambda: None,
+        abort=lambda: None,
+    )
+    return bridge._on_goal(goal)
+
+
+@pytest.fixture
+def holding(bridge: MavlinkBridge) -> MavlinkBridge:
+    """A bridge whose vehicle holds the mission of a plan."""
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    assert upload(bridge).error_code == UploadMission.Result.NONE
+    assert bridge._state == MissionStatus.VERIFIED
+    return bridge
+
+
+def fly(bridge: MavlinkBridge, x: float = 0.0, **changes: Any) -> None:
+    latitude, longitude = LocalFrame(ORIGIN).to_geodetic([[x, 0.0]])[0]
+    flown = {"armed": True, "custom_mode": IN_MISSION, "current_item": FIRST + 1}
+    bridge._client.tell(latitude=latitude, longitude=longitude, **(flown | changes))
+
+
+# -- the upload -----------------------------------------------------------------------------------
+
+
+def test_an_upload_refused_before_anything_was_sent_changes_nothing(holding) -> None:
+    before = holding._state, holding._text, holding._items
+    refused = UploadResult(UploadCode.REFUSED_BEFORE, "call pause first")
+    assert upload(holding, refused).error_code == UploadMission.Result.UNSAFE
+    assert (holding._state, holding._text, holding._items) == before
+
+
+def test_an_upload_refused_after_a_part_was_overwritten_has_failed(holding) -> None:
+    """The objection is asked for before each attempt, on ArduPilot after the first one's part."""
+    fly(holding)
+    assert holding._state == MissionStatus.FLYING
+    refused = UploadResult(
+        UploadCode.REFUSED_BEFORE, "the vehicle may hold a mixture", old_counts=False
+    )
+    assert upload(holding, refused).error_code == UploadMission.Result.UNSAFE
+    assert (holding._state, holding._map_id) == (MissionStatus.FAILED, "")
+    assert "the vehicle may hold a mixture" in holding._text
+
+
+def test_a_new_plan_during_an_upload_does_not_end_the_tracking_of_the_one_uploaded(bridge) -> None:
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+
+    def plan_anew() -> None:
+        give_map(bridge, "other", seconds=2)
+        give_plan(bridge, "other")
+
+    bridge._client.during = plan_anew
+    assert upload(bridge).error_code == UploadMission.Result.NONE
+    assert bridge._map_id == "map"
+    fly(bridge)
+    assert bridge._state == MissionStatus.FLYING
+
+
+def test_a_map_that_comes_after_the_upload_begins_the_tracking(bridge) -> None:
+    give_plan(bridge, "map")
+    assert upload(bridge).error_code == UploadMission.Result.NONE
+    fly(bridge)
+    assert bridge._state == MissionStatus.VERIFIED
+    give_map(bridge, "map")
+    fly(bridge)
+    assert bridge._state == MissionStatus.FLYING
+
+
+# -- the flight -----------------------------------------------------------------------------------
+
+
+def test_a_mission_that_is_not_flown_any_more_is_verified_until_it_goes_on(holding) -> None:
+    fly(holding)
+    assert holding._state == MissionStatus.FLYING
+    fly(holding, custom_mode=HOLD)
+    assert holding._state == MissionStatus.VERIFIED
+    assert "armed, but the mission is not being flown now" in holding._text
+    fly(holding, reached_item=FIRST)
+    assert (holding._state, holding._items) == (MissionStatus.FLYING, (1, 3))
+    fly(holding, custom_mode=HOLD)
+    holding._client.tell(armed=False)
+    assert holding._state == MissionStatus.VERIFIED
+    assert holding._text == "the flight ended after 1 of 3 waypoints; the mission is still there"
+
+
+def test_the_way_home_after_the_search_ends_with_completion(holding) -> None:
+    fly(holding)
+    home = {"current_item": FIRST + 3, "custom_mode": 4 << 16 | 5 << 24}  # as PX4 flies it
+    fly(holding, **home)
+    assert holding._state == MissionStatus.FLYING
+    fly(holding, **home, armed=False)
+    assert holding._state == MissionStatus.COMPLETED
+
+
+def test_a_mission_verified_in_a_pause_is_not_flown_before_it_is_started(holding) -> None:
+    fly(holding)
+    fly(holding, custom_mode=HOLD)
+    upload(holding)
+    fly(holding, custom_mode=HOLD)
+    assert holding._state == MissionStatus.VERIFIED
+    assert "read back and equal" in holding._text
+
+
+def test_a_failed_upload_is_told_until_the_vehicle_flies_on(holding) -> None:
+    fly(holding)
+    fly(holding, custom_mode=HOLD)
+    upload(holding, UploadResult(UploadCode.CANCELLED, "cancelled: the old list counts"))
+    fly(holding, custom_mode=HOLD)
+    assert holding._state == MissionStatus.FAILED
+    assert "the old list counts" in holding._text
+    fly(holding)
+    assert holding._state == MissionStatus.FLYING
+
+
+def test_the_status_survives_the_end_of_the_tracking_meanwhile(holding, monkeypatch) -> None:
+    """An upload that fails takes the tracker away in another thread."""
+    left = [holding._tracker]
+    vanishing = property(lambda _: left.pop() if left else None, lambda *_: None)
+    monkeypatch.setattr(MavlinkBridge, "_tracker", vanishing, raising=False)
+    holding._publish_status()
+    assert left == []
+
+
+# -- plan files -----------------------------------------------------------------------------------
+
+
+def test_plan_files_with_a_rally_point_wait_for_the_vehicle(bridge, tmp_path: Path) -> None:
+    written, said = tmp_path / "search.plan", []
+    bridge.get_logger = lambda: SimpleNamespace(info=said.append, error=said.append)
+    bridge.set_parameters(
+        [Parameter("rally", value=True), Parameter("plan_files", value=str(written))]
+    )
+    bridge._client.vehicle = None
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    for _ in range(3):
+        bridge._on_timer()
+    assert not written.exists()
+    assert [text for text in said if "plan file" in text] == [
+        "plan files wait for the vehicle's position, which tells the launch point"
+    ]
+    bridge._client.tell()
+    bridge._on_timer()
+    assert written.exists()
+    written.unlink()
+    bridge._on_timer()
+    assert not written.exists()
