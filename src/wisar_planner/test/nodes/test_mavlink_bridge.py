@@ -14,6 +14,7 @@ import pytest
 import rclpy
 from pymavlink.dialects.v20 import common as mav
 from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
 from wisar_msgs.action import UploadMission
 from wisar_msgs.msg import MissionStatus
@@ -259,3 +260,35 @@ def test_plan_files_with_a_rally_point_wait_for_the_vehicle(bridge, tmp_path: Pa
     written.unlink()
     bridge._on_timer()
     assert not written.exists()
+
+
+def test_a_mission_that_this_bridge_has_not_verified_is_not_started(bridge: MavlinkBridge) -> None:
+    """As after a restart: the vehicle may hold a mixture, or another day's mission."""
+
+    def start() -> Trigger.Response:
+        return bridge._explicit_request(bridge._start_mission)(None, Trigger.Response())
+
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    assert not start().success
+    assert "upload_mission first" in start().message
+    upload(bridge)
+    assert start().success
+    upload(bridge, UploadResult(UploadCode.INCOMPLETE, old_counts=False, error="no answer"))
+    assert not start().success
+    bridge._client.link_status = LinkStatus(False, "no link")
+    assert start().success  # the client says that there is no link
+
+
+def test_in_flight_the_takeoff_is_where_the_vehicle_is(bridge: MavlinkBridge) -> None:
+    """Else a fixed wing would fly home for it first; the rally point stays at home."""
+    assert bridge.set_parameters([Parameter("rally", value=True)])[0].successful
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    home = (ORIGIN.latitude + 0.01, ORIGIN.longitude, 0.0)
+    bridge._client.tell(armed=True, landed=False, home=home)
+    mission = bridge._mission(bridge._plan, bridge._map)
+    takeoff, *_ = mission.items
+    assert takeoff.command == mav.MAV_CMD_NAV_TAKEOFF
+    assert takeoff.latitude == pytest.approx(ORIGIN.latitude, abs=1e-6)
+    assert mission.rally[0].latitude == pytest.approx(home[0], abs=1e-6)

@@ -66,6 +66,7 @@ def search_mission(
     *,
     area: SearchArea | None = None,
     launch: tuple[float, float] | None = None,
+    takeoff_place: tuple[float, float] | None = None,
 ) -> Mission:
     """Build the mission of a path.
 
@@ -81,6 +82,9 @@ def search_mission(
         The search area, needed for a fence.
     launch
         Latitude and longitude of the launch point in degrees, needed for a rally point.
+    takeoff_place
+        Where the vehicle is, in degrees; the launch point unless given. A vehicle in the air flies
+        to the place of the takeoff first: a fixed wing would return to its launch point for it.
 
     Raises
     ------
@@ -105,7 +109,7 @@ def search_mission(
         speed=settings.speed,
         takeoff=settings.takeoff,
         end=settings.end,
-        launch=launch,
+        launch=launch if takeoff_place is None else takeoff_place,
         altitude_frame=settings.altitude_frame,
         camera_trigger_m=settings.camera_trigger_m,
         inclusions=inclusions,

@@ -99,8 +99,12 @@ class MavlinkBridge(Node):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=group,
         )
-        for name in ("arm", "start_mission", "pause", "resume", "return_to_launch"):
-            request = self._explicit_request(getattr(self._client, name))
+        requests = {
+            name: getattr(self._client, name)
+            for name in ("arm", "pause", "resume", "return_to_launch")
+        }
+        for name, act in {**requests, "start_mission": self._start_mission}.items():
+            request = self._explicit_request(act)
             self.create_service(Trigger, name, request, callback_group=group)
         # By the steady clock: a vehicle's link is lost in real time, whatever time is simulated.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -291,6 +295,7 @@ class MavlinkBridge(Node):
             settings,
             area=None if located is None else located.area,
             launch=self._launch_place(),
+            takeoff_place=self._vehicle_place(),
         )
 
     def _map_of(self, plan: Plan) -> LocatedMap | None:
@@ -450,6 +455,19 @@ class MavlinkBridge(Node):
             self.get_logger().info(said)
 
     # Requests to the vehicle
+
+    def _start_mission(self) -> None:
+        """Start what this bridge has verified.
+
+        A vehicle may hold anything else: the mission of another day, another vehicle's, or the
+        mixture that an upload left when the bridge was ended in the middle of it.
+        """
+        if self._verified is None and self._client.link_status.connected:
+            raise LinkError(
+                "start of the mission: this bridge has verified none since it began; call "
+                "upload_mission first"
+            )
+        self._client.start_mission()
 
     def _explicit_request(
         self, act: Callable[[], None]
