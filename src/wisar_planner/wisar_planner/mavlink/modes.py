@@ -140,13 +140,7 @@ def shown_by(
 
 def flies_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
     """Whether a vehicle in this mode flies its mission; False where modes are not known."""
-    if autopilot == mav.MAV_AUTOPILOT_PX4:
-        sub_mode = _PX4_SUB_MODES[Intent.RESUME]
-        return custom_mode & 0xFFFF0000 == _custom_mode(_PX4_AUTO, sub_mode, autopilot)
-    if autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        modes = _PLANE_MODES if vehicle_type in _PLANE_TYPES else _COPTER_MODES
-        return custom_mode == int(modes[Intent.START])
-    return False
+    return _is_mode_of(Intent.RESUME, autopilot, vehicle_type, custom_mode)
 
 
 def may_fly_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
@@ -157,12 +151,16 @@ def may_fly_mission(autopilot: int, vehicle_type: int, custom_mode: int) -> bool
 
 def returns_home(autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
     """Whether a vehicle in this mode returns to its launch place; False where not known."""
+    return _is_mode_of(Intent.RETURN, autopilot, vehicle_type, custom_mode)
+
+
+def _is_mode_of(intent: Intent, autopilot: int, vehicle_type: int, custom_mode: int) -> bool:
     if autopilot == mav.MAV_AUTOPILOT_PX4:
-        sub_mode = _PX4_SUB_MODES[Intent.RETURN]
-        return custom_mode & 0xFFFF0000 == _custom_mode(_PX4_AUTO, sub_mode, autopilot)
+        wanted = _custom_mode(_PX4_AUTO, _PX4_SUB_MODES[intent], autopilot)
+        return custom_mode & 0xFFFF0000 == wanted
     if autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
         modes = _PLANE_MODES if vehicle_type in _PLANE_TYPES else _COPTER_MODES
-        return custom_mode == int(modes[Intent.RETURN])
+        return custom_mode == int(modes[intent])
     return False
 
 
