@@ -256,6 +256,25 @@ def test_a_hole_stays_where_a_hairline_is_closed(tmp_path):
     assert len(area.interiors) == 1
 
 
+def test_an_island_in_a_hole_stays(tmp_path):
+    plain = write(tmp_path / "map.geojson", collection(point(-4.98, 57.0, weight=1, sigma_m=90)))
+    ring = square(-5.0, 56.99, -4.96, 57.01)
+    lake = square(-4.99, 56.995, -4.97, 57.005)["geometry"]["coordinates"][0]
+    ring["geometry"]["coordinates"].append(lake)
+    island = square(-4.985, 56.998, -4.975, 57.002)
+    area = load_map(plain, area=write(tmp_path / "area.geojson", collection(ring, island))).area
+    assert len(area.geoms) == 2
+    frame = LocalFrame(GeoOrigin(57.0, -4.98))
+    assert shapely.contains(area, shapely.Point(frame.to_local(57.0, -4.98)[0]))
+
+
+@pytest.mark.parametrize("kind", ["unrestricted", "volcano gorge", "sector"])
+def test_other_kinds_of_polygons_are_searched(tmp_path, kind):
+    plain = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    part = square(-5.0, 56.7, -4.98, 56.71, kind=kind)
+    assert load_map(plain, area=write(tmp_path / "area.geojson", part)).area.area > 0.0
+
+
 def test_edges_are_straight_in_degrees(tmp_path):
     """A parallel of 20 km is curved in metres: by L^2 tan(latitude) / (8 R), 12 m at 57 degrees."""
     plain = write(tmp_path / "map.geojson", collection(point(-5.0, 57.0, weight=1, sigma_m=900)))

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry import mapping
@@ -22,15 +21,19 @@ from shapely.geometry.polygon import orient
 from wisar_planner.errors import FloatArray, InvalidInput
 from wisar_planner.pdm.geodesy import LocalFrame
 from wisar_planner.pdm.mixture_fields import as_float, shown
+from wisar_planner.pdm.protocol import IntArray
 
 Area: TypeAlias = Polygon | MultiPolygon
-IntArray: TypeAlias = npt.NDArray[np.int64]
 
 SEARCH_AREA = "search_area"
 """Role of the polygons to search."""
 
 # In whatever words: keep-out, no fly zone, nogo, NFZ, exclusion zone, restricted, prohibited, ...
-_FORBIDDEN = re.compile(r"keep.?out|no.?(fly|go)|nfz|exclu|restrict|prohibit|forbid", re.IGNORECASE)
+# Only from the beginning of a word: not "unrestricted", not "volcano gorge".
+_FORBIDDEN = re.compile(
+    r"(?<![a-z])(keep.?out|no.?fly|no.?go(zone)?(?![a-z])|nfz|exclu|restrict|prohibit|forbid)",
+    re.IGNORECASE,
+)
 
 # What an edge that is straight in degrees may be bent in metres, m: less than a vehicle's position
 # is known to. Parts of an area that are nearer than twice this are one.
@@ -225,14 +228,18 @@ def union_of(polygons: Sequence[Area], where: str) -> Area:
     planner would cross it.
     """
     union = checked_polygon(shapely.union_all(list(polygons)), where)
-    if isinstance(union, MultiPolygon):
-        closed = union.buffer(_BEND, join_style="mitre").buffer(-_BEND, join_style="mitre")
-        # Holes stay, however small: something may stand there.
-        holes = [Polygon(ring) for part in union.geoms for ring in part.interiors]
-        joined = shapely.difference(closed, shapely.union_all(holes))
-        if shapely.get_num_geometries(joined) < len(union.geoms):
-            union = checked_polygon(joined, where)
-    return union
+    closed = union.buffer(_BEND, join_style="mitre").buffer(-_BEND, join_style="mitre")
+    # Holes that somebody drew stay, however small: something may stand there.
+    drawn = [Polygon(ring) for part in shapely.get_parts(polygons) for ring in part.interiors]
+    joined = shapely.difference(closed, shapely.difference(shapely.union_all(drawn), union))
+    # Where nothing is joined it stays as it was drawn, to the last digit.
+    return checked_polygon(joined, where) if _rings(joined) < _rings(union) else union
+
+
+def _rings(area: Area) -> int:
+    return int(shapely.get_num_interior_rings(shapely.get_parts(area)).sum()) + len(
+        shapely.get_parts(area)
+    )
 
 
 def load_area(path: Path, frame: LocalFrame) -> Area:
@@ -276,11 +283,11 @@ def _local_ring(ring: Any, frame: LocalFrame, where: str) -> FloatArray:
     places = np.array([position(value, f"{where}[{i}]") for i, value in enumerate(ring)])
     corners = frame.to_local(*places.T)
     along = np.diff(places, axis=0)
-    along[:, 1] = _wrapped(along[:, 1])  # the short way, as over the antimeridian
+    along[:, 1] = wrapped_degrees(along[:, 1])  # the short way, as over the antimeridian
 
     def between(edges: IntArray, share: FloatArray) -> FloatArray:
         latitude, longitude = (places[edges] + share[:, None] * along[edges]).T
-        return frame.to_local(latitude, _wrapped(longitude))
+        return frame.to_local(latitude, wrapped_degrees(longitude))
 
     edges = np.arange(len(along))
     middle = between(edges, np.full(len(edges), 0.5))
@@ -296,6 +303,6 @@ def _local_ring(ring: Any, frame: LocalFrame, where: str) -> FloatArray:
     return np.concatenate([points, corners[-1:]])
 
 
-def _wrapped(degrees: FloatArray) -> FloatArray:
+def wrapped_degrees(degrees: FloatArray) -> FloatArray:
     """Return longitudes as their equals from -180 to below 180."""
     return (degrees + 180.0) % 360.0 - 180.0

@@ -38,6 +38,7 @@ from wisar_planner.pdm.geojson import (
     read_geojson,
     role_of,
     union_of,
+    wrapped_degrees,
 )
 from wisar_planner.pdm.loaded_map import LoadedMap
 from wisar_planner.pdm.mixture_fields import build_mixture, default_area, matrix, number
@@ -173,6 +174,6 @@ def _origin(document: dict[str, Any], latitudes: Any, longitudes: Any, where: st
         altitude = number(given[2], f"{where}: origin[2]") if len(given) == 3 else 0.0
         return GeoOrigin(latitude, longitude, altitude)
     # Differences from the first point, wrapped, so that a group astride 180 degrees has a middle.
-    east = (longitudes - longitudes[0] + 180.0) % 360.0 - 180.0
-    longitude = (longitudes[0] + east.mean() + 180.0) % 360.0 - 180.0
-    return GeoOrigin(float(latitudes.mean()), float(longitude))
+    east = wrapped_degrees(longitudes - longitudes[0])
+    longitude = float(wrapped_degrees(longitudes[0] + east.mean()))
+    return GeoOrigin(float(latitudes.mean()), longitude)
