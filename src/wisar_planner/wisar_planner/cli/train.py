@@ -19,7 +19,9 @@ examples:
   wisar train config/improvement.yaml --start out/sac/sac.safetensors --out out/improved
       a trained policy made better by policy iteration, on a CPU
   wisar train config/ppo.yaml --start out/improved/sac.safetensors --device cuda --out out/ppo
-      a trained policy made better by proximal policy optimisation on a GPU, as the shipped one was
+      a trained policy made better by proximal policy optimisation on a GPU
+  wisar train config/expert_iteration.yaml --start out/ppo/sac.safetensors --out out/expert
+      a trained policy that learns from search, on a CPU, as the shipped one did at last
   wisar train config/sac.yaml --seed 1 --steps 100000 --out out/quick --threads 1
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
@@ -41,7 +43,8 @@ def add_parser(subparsers: Any) -> None:
         "train",
         help="train a search policy, or improve a trained one",
         description="Train a search policy by soft actor-critic, or improve a trained one by "
-        "policy iteration or proximal policy optimisation, as the configuration says.",
+        "policy iteration, proximal policy optimisation or expert iteration, as the configuration "
+        "says.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -58,7 +61,9 @@ def add_parser(subparsers: Any) -> None:
         "--ablation", metavar="NAME", help="part to leave out, e.g. mlp or no_step_gain"
     )
     parser.add_argument(
-        "--start", metavar="MODEL", help="policy to improve (improvement.yaml, ppo.yaml)"
+        "--start",
+        metavar="MODEL",
+        help="policy to improve (improvement.yaml, ppo.yaml, expert_iteration.yaml)",
     )
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument(

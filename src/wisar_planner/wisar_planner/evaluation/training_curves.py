@@ -28,6 +28,8 @@ from wisar_planner.training.streams import fresh_generator
 
 #: Mean probability efficiency on the paper's setup that a training is timed to.
 GOAL = 0.28
+# What a policy is called that was made from another by an algorithm.
+_IMPROVED_BY = {"improvement": "improved", "ppo": "ppo", "expert_iteration": "from search"}
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def read_curve(folder: Path) -> TrainingCurve:
     # An improvement begins where another training ended: it is a line of its own.
     parts = [
         config["name"],
-        {"improvement": "improved", "ppo": "ppo"}.get(config.get("algorithm", ""), ""),
+        _IMPROVED_BY.get(config.get("algorithm", ""), ""),
         config.get("ablation", "").replace("_", " "),
     ]
     return TrainingCurve(

@@ -116,6 +116,20 @@ class Terrain(NamedTuple):
         """How many searches fit side by side in memory."""
         return max(1, _MOST_CELLS_TOGETHER // self.density.size)
 
+    def unseen(self, count: int) -> UnseenMap:
+        """Return the map for some searches side by side, none of which has seen anything yet."""
+        ones = np.ones(count, dtype=np.float32)
+        return UnseenMap(
+            np.repeat(self.density, count, axis=0),
+            ones * np.float32(self.scale * self.step),
+            ones * np.float32(self.radius),
+            window_side(self.step, self.radius),
+        )
+
+    def to_cells(self, points: FloatArray) -> FloatArray:
+        """Return points in metres, (..., 2), as points in cells, as `UnseenMap` counts them."""
+        return (points - (self.grid.x0, self.grid.y0)) / self.grid.cell
+
 
 def view_scale(problem: SearchProblem) -> float:
     """Return how many steps of a problem a policy should take for one.
@@ -169,15 +183,8 @@ def fly(
         The paths in metres; shorter than the budget where a search found no whole step that stays
         in the area, or was stopped.
     """
-    ones = np.ones(count, dtype=np.float32)
-    unseen = UnseenMap(
-        np.repeat(terrain.density, count, axis=0),
-        ones * np.float32(terrain.scale * terrain.step),
-        ones * np.float32(terrain.radius),
-        window_side(terrain.step, terrain.radius),
-    )
-    origin = np.array([terrain.grid.x0, terrain.grid.y0])
-    position = np.repeat((problem.start - origin)[None] / terrain.grid.cell, count, axis=0)
+    unseen = terrain.unseen(count)
+    position = np.repeat(terrain.to_cells(problem.start)[None], count, axis=0)
     start = position.astype(np.float32)
     seen = unseen.see(start, start).astype(np.float64)
     fixed = constants(np, "cpu")
@@ -199,6 +206,7 @@ def fly(
         cells.append(position.copy())
         if on_step is not None and on_step(flights.seen * unit):
             break
+    origin = np.array([terrain.grid.x0, terrain.grid.y0])
     waypoints = origin + terrain.grid.cell * np.stack(cells, axis=1)
     waypoints[:, 0] = problem.start
     return waypoints

@@ -9,6 +9,9 @@ import torch
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.config import build, read_yaml
+from wisar_planner.training.expert_iteration import config as expert_iteration
+from wisar_planner.training.expert_iteration.config import ExpertConfig
+from wisar_planner.training.expert_iteration.run import ExpertRun
 from wisar_planner.training.improvement import config as improvement
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.run import ImprovementRun
@@ -23,12 +26,17 @@ from wisar_planner.training.run import Run
 from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.run import SacRun
 
-Config = SacConfig | ImprovementConfig | PpoConfig | PaperConfig
-AnyRun = Run[SacConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[PaperConfig]
+Config = SacConfig | ImprovementConfig | PpoConfig | ExpertConfig | PaperConfig
+AnyRun = (
+    Run[SacConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[ExpertConfig] | Run[PaperConfig]
+)
 
-_CONFIGS: dict[str, type[ImprovementConfig] | type[PpoConfig] | type[PaperConfig]] = {
+_CONFIGS: dict[
+    str, type[ImprovementConfig] | type[PpoConfig] | type[ExpertConfig] | type[PaperConfig]
+] = {
     improvement.ALGORITHM: ImprovementConfig,
     ppo.ALGORITHM: PpoConfig,
+    expert_iteration.ALGORITHM: ExpertConfig,
     paper.ALGORITHM: PaperConfig,
 }
 
@@ -85,6 +93,8 @@ def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
         return PaperRun(config, folder, device)
     if isinstance(config, PpoConfig):
         return PpoRun(config, folder, device)
+    if isinstance(config, ExpertConfig):
+        return ExpertRun(config, folder, device)
     if isinstance(config, ImprovementConfig):
         return ImprovementRun(config, folder, device)
     return SacRun(config, folder, device)

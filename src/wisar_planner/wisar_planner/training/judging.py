@@ -9,7 +9,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from wisar_planner.errors import FloatArray
+from wisar_planner.policy.model import Model
 from wisar_planner.policy.observation import Observation
+from wisar_planner.policy.rollout import Terrain, fly
+from wisar_planner.search.bound import upper_bound
+from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.ablation import make_environment
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -67,3 +72,21 @@ def fly_maps(
         seen += searching * reward * step_area
         searching = searching * ~done
     return Flights(seen / in_area, seen / swept, {})
+
+
+def fly_problem(problem: SearchProblem, model: Model) -> tuple[float, float]:
+    """Fly a policy once as planners do; return e_p and the share of the bound.
+
+    Here the policy is shown the problem as plans show it, see `rollout.view_scale`, and the bound
+    is `search.bound.upper_bound`; what is seen is taken from the policy's raster.
+    """
+    terrain = Terrain.of(problem)
+    seen = [0.0]
+
+    def on_step(probability: FloatArray) -> bool:
+        seen[0] = float(probability[0])
+        return False
+
+    fly(problem, terrain, model, on_step=on_step)
+    efficiency = seen[0] / problem.probability_in_area
+    return efficiency, efficiency / upper_bound(problem)

@@ -51,8 +51,10 @@ class PolicyRun(Run[Config]):
     def __init__(self, config: Config, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
         self._start = load_model(find_model(config.start))
+        # By name, since a file gives them in any order, and optimisers count them.
         self._start_weights = {
-            name: torch.tensor(value, device=device) for name, value in self._start.weights.items()
+            name: torch.tensor(value, device=device)
+            for name, value in sorted(self._start.weights.items())
         }
         # What learns, and how its turns are distributed; a kind of run may begin with another.
         self.actor: Networks = {

@@ -1,0 +1,107 @@
+"""Runs of expert iteration: reproducible, resumable, with a card that tells where they began."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from wisar_planner.cli.main import main
+from wisar_planner.errors import InvalidInput
+from wisar_planner.policy.model import find_model, load_model
+from wisar_planner.training.algorithms import read_any_config
+from wisar_planner.training.expert_iteration.config import ExpertConfig
+from wisar_planner.training.expert_iteration.run import ExpertRun
+from wisar_planner.training.worlds import WorldDistribution
+
+CPU = torch.device("cpu")
+CONFIG = Path(__file__).resolve().parents[5] / "config" / "expert_iteration.yaml"
+TINY = ExpertConfig(
+    name="tiny", rounds=3, flights=4, remembered_flights=8, moves=20, updates=3, batch=8,
+    validation_maps=2,
+    worlds=WorldDistribution(paper_share=0.5, sides=(10.0, 12.0), budgets=(5, 9)),
+)  # fmt: skip
+
+
+def same(first, other) -> bool:
+    return all(torch.equal(first.actor[name], other.actor[name]) for name in first.actor)
+
+
+def test_the_same_seed_gives_the_same_policy_and_another_seed_another(tmp_path, trained) -> None:
+    first = trained(TINY, tmp_path / "a")
+    assert same(first, trained(TINY, tmp_path / "b"))
+    assert not same(first, trained(dataclasses.replace(TINY, seed=1), tmp_path / "c"))
+    assert len(first.validations) == 4
+    assert first.updates == 9
+
+
+@pytest.mark.parametrize("stop_after", [1, 3])
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    tmp_path, trained, stop_after
+) -> None:
+    whole = trained(TINY, tmp_path / "whole")
+    assert same(whole, trained(TINY, tmp_path / "stopped", stop_after=stop_after))
+
+
+def test_the_latest_rounds_are_remembered(tmp_path, trained) -> None:
+    run = trained(TINY, tmp_path)
+    assert len(run._rounds) == 2
+    assert sum(len(each.turn) for each in run._rounds) < run.steps
+
+
+def test_what_search_does_becomes_likelier(trained) -> None:
+    """The loss on the same labels falls."""
+    run = ExpertRun(dataclasses.replace(TINY, rounds=1, flights=8, updates=30), None, CPU)
+    list(run.train())
+    run.updates = 0
+    assert run._imitate() < run.validations[-1].figures["loss"]
+
+
+def test_the_best_policy_is_kept_with_a_card_that_tells_where_it_began(tmp_path, trained) -> None:
+    run = trained(TINY, tmp_path)
+    card = load_model(tmp_path / "tiny.safetensors").card
+    start = load_model(find_model("sac")).card
+    assert card["algorithm"].startswith("expert iteration")
+    assert card["start"]["weights_sha256"] == start["weights_sha256"]
+    assert card["validation"]["share_of_bound"] == pytest.approx(run.best_share, abs=1e-4)
+    assert "share_of_bound_other_worlds" in card["validation"]
+
+
+def test_a_run_on_the_papers_setup_alone_is_judged_there(tmp_path, trained) -> None:
+    paper = dataclasses.replace(TINY, rounds=1, worlds=WorldDistribution())
+    run = trained(paper, tmp_path)
+    assert "other_worlds" not in run.validations[0].figures
+    assert 0.5 < run.validations[0].share < 1.0
+
+
+def test_the_command_learns_from_search_and_tells_mistakes_in_one_line(tmp_path, capsys) -> None:
+    config = tmp_path / "tiny.yaml"
+    content = dataclasses.asdict(dataclasses.replace(TINY, rounds=1))
+    config.write_text(json.dumps(content))  # JSON is YAML, too
+    command = ["train", str(config), "--out", str(tmp_path / "run"), "--threads", "1"]
+    assert main([*command, "--start", "sac_improved"]) == 0
+    assert "search_brings" in capsys.readouterr().out
+    assert main([*command, "--start", "none.safetensors"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"moves": 0}, "moves must be at least 1"),
+        ({"remembered_flights": 3}, "remembered_flights must be at least 4"),
+        ({"rate": 0.0}, "rate must be above 0"),
+        ({"algorithm": "ppo"}, "algorithm must be expert_iteration"),
+        ({"early_weight": float("nan")}, "early_weight must be at least 0"),
+    ],
+)
+def test_wrong_values_are_refused(change, words) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        dataclasses.replace(TINY, **change)
+
+
+def test_the_shipped_configuration_is_one_of_expert_iteration() -> None:
+    config = read_any_config(CONFIG)
+    assert isinstance(config, ExpertConfig)
+    assert config.worlds.paper_share < 1.0

@@ -1,0 +1,81 @@
+"""Configurations of expert iteration: YAML files with `algorithm: expert_iteration`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from wisar_planner.training.config import check_algorithm, check_at_least, check_positive
+from wisar_planner.training.streams import check_seed
+from wisar_planner.training.worlds import WorldDistribution
+
+#: What a file's field `algorithm` says.
+ALGORITHM = "expert_iteration"
+
+# What search labels of a flight, about: the steps after a random one.
+_STEPS_OF_A_FLIGHT = 32
+
+
+@dataclass(frozen=True)
+class ExpertConfig:
+    """Which policy learns from search, how much of it.
+
+    Parameters
+    ----------
+    algorithm : str
+        Always `expert_iteration`.
+    name : str
+        Name of the model.
+    start : str
+        The policy to begin with: name of a shipped one, or path of a .safetensors file.
+    seed : int
+        Seed of everything random.
+    rounds : int
+        How often search goes on from what the policy has learned by then.
+    flights : int
+        Flights per round whose rest, from a random step on, search makes better.
+    moves : int
+        Moves that search tries per step of that rest.
+    early_weight : float
+        What search thinks of probability that is seen early, see `planners.refine`.
+    remembered_flights : int
+        Flights that the policy learns from, the latest.
+    updates : int
+        Updates per round.
+    batch : int
+        States per update.
+    rate : float
+        Learning rate of Adam at the beginning; it falls linearly to 3% over all rounds.
+    validation_maps : int
+        Maps of the paper's setup that the policy is judged on, and half as many of other worlds.
+    worlds : WorldDistribution
+        What is trained on.
+    """
+
+    algorithm: str = ALGORITHM
+    name: str = "sac"
+    start: str = "sac"
+    seed: int = 0
+    rounds: int = 8
+    flights: int = 4096
+    moves: int = 375
+    early_weight: float = 0.25
+    remembered_flights: int = 32_768
+    updates: int = 1000
+    batch: int = 512
+    rate: float = 1e-4
+    validation_maps: int = 1024
+    worlds: WorldDistribution = field(default_factory=WorldDistribution)
+
+    def __post_init__(self) -> None:
+        check_algorithm(self.algorithm, ALGORITHM)
+        check_seed(self.seed)
+        check_at_least(
+            self, rounds=1, flights=1, moves=1, early_weight=0.0, remembered_flights=self.flights,
+            updates=1, batch=1, validation_maps=2,
+        )  # fmt: skip
+        check_positive(self, "rate")
+
+    @property
+    def steps(self) -> int:
+        """Steps that search labels in all rounds, about."""
+        return self.rounds * self.flights * _STEPS_OF_A_FLIGHT

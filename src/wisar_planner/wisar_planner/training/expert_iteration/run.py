@@ -1,0 +1,135 @@
+"""A run of expert iteration: rounds of search and of learning from it, each validated."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import joblib
+import torch
+from torch import Tensor
+
+from wisar_planner.policy.model import Model
+from wisar_planner.policy.network import forward
+from wisar_planner.training.expert_iteration.config import ExpertConfig
+from wisar_planner.training.expert_iteration.labels import Labels, lesson
+from wisar_planner.training.imitation_loss import imitation_loss
+from wisar_planner.training.judging import Flights, fly_problem
+from wisar_planner.training.networks import learn, mirrored, optimizer_of
+from wisar_planner.training.policy_run import PolicyRun
+from wisar_planner.training.problems import random_problems
+from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
+from wisar_planner.training.run import OnProgress
+
+# Flights that a process labels, or problems that it flies, at a time.
+_AT_A_TIME = 16
+
+
+class ExpertRun(PolicyRun[ExpertConfig]):
+    """A run of expert iteration; see `PolicyRun`.
+
+    It is validated before the first round, too, and flies validation maps as plans fly maps. Search
+    runs in as many processes as PyTorch has threads.
+    """
+
+    algorithm = "expert iteration"
+
+    def __init__(self, config: ExpertConfig, folder: Path | None, device: torch.device) -> None:
+        super().__init__(config, folder, device)
+        self._optimizers = {"actor": optimizer_of(self.actor, config.rate)}
+        make_optimizer_tensors(self._optimizers)
+        self._rounds: list[Labels] = []
+
+    def fly(self, maps: int, generator: torch.Generator) -> Flights:
+        """Fly the present policy; see `Run.fly`."""
+        worlds = self.config.worlds
+        model = self._model()
+
+        def flown(count: int, paper_share: float) -> Tensor:
+            distribution = dataclasses.replace(worlds, paper_share=paper_share)
+            problems = random_problems(count, distribution, generator)
+            return torch.tensor(list(_parallel(fly_problem, ((each, model) for each in problems))))
+
+        efficiency, share = flown(maps, 1.0).T
+        if worlds.paper_share == 1.0:
+            return Flights(efficiency, share, {})
+        return Flights(
+            efficiency, share, {"other_worlds": float(flown(maps // 2, 0.0)[:, 1].mean())}
+        )
+
+    def _model(self) -> Model:
+        """Return the present policy as planners fly it."""
+        weights = {name: each.detach().cpu().numpy().copy() for name, each in self.actor.items()}
+        return Model(weights, {"distribution": self._distribution})
+
+    def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
+        if not self.validations:
+            yield {}
+        while len(self.validations) <= self.config.rounds:
+            yield self._round(on_progress)
+
+    def _round(self, on_progress: OnProgress) -> dict[str, float]:
+        c, model, count = self.config, self._model(), len(self.validations)
+        tasks = (
+            (c, model, min(_AT_A_TIME, c.flights - first), (c.seed, count, first))
+            for first in range(0, c.flights, _AT_A_TIME)
+        )
+        lessons = []
+        for each in _parallel(lesson, tasks):
+            lessons.append(each)
+            self.steps += len(each.labels.turn)
+            on_progress(self.steps, self.updates)
+        self._remember(Labels.joined([each.labels for each in lessons]))
+        seen, found = (sum(getattr(each, name) for each in lessons) for name in ("seen", "found"))
+        return {"search_brings": found / seen - 1.0, "loss": self._imitate()}
+
+    def _remember(self, fresh: Labels) -> None:
+        """Add the labels of a round; forget the oldest rounds beyond what is to be remembered."""
+        rounds = max(1, self.config.remembered_flights // self.config.flights)
+        self._rounds = [*self._rounds, fresh][-rounds:]
+
+    def _imitate(self) -> float:
+        """Learn from the labels of all rounds that are remembered; return the mean loss."""
+        c = self.config
+        view, numbers, turn = (torch.from_numpy(each) for each in Labels.joined(self._rounds))
+        optimizer, losses = self._optimizers["actor"], []
+        for _ in range(c.updates):
+            some = torch.randint(
+                len(turn), (c.batch,), generator=self.generator, device=self.device
+            )
+            flip = torch.rand(c.batch, generator=self.generator, device=self.device) < 0.5
+            # Labels stay in main memory: there are millions.
+            views, told, turns = (
+                each[some.cpu()].to(self.device) for each in (view, numbers, turn)
+            )
+            shown, wanted = mirrored(views.float(), turns, flip)
+            loss = imitation_loss(forward(self.actor, shown, told)[0], self._distribution, wanted)
+            learn(optimizer, loss, c.rate, self.updates / (c.rounds * c.updates))
+            self.updates += 1
+            losses.append(loss.detach())
+        return float(torch.stack(losses).mean())
+
+    def _tensors(self) -> dict[str, Tensor]:
+        found = {f"actor.{name}": each.detach() for name, each in self.actor.items()}
+        found |= dict(optimizer_tensors(self._optimizers))
+        for place, labels in enumerate(self._rounds):
+            for name, each in labels._asdict().items():
+                found[f"labels.{place}.{name}"] = torch.from_numpy(each)
+        return found
+
+    def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
+        for name, tensor in self._tensors().items():
+            tensor.copy_(stored[name])
+        rounds = len({name.split(".")[1] for name in stored if name.startswith("labels.")})
+        self._rounds = [
+            Labels(*(stored[f"labels.{place}.{name}"].cpu().numpy() for name in Labels._fields))
+            for place in range(rounds)
+        ]
+
+
+def _parallel(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    """Yield what a function returns for each tuple of arguments, in their order."""
+    parallel = joblib.Parallel(n_jobs=torch.get_num_threads(), return_as="generator")
+    yield from parallel(joblib.delayed(function)(*task) for task in tasks)
