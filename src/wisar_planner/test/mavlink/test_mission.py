@@ -1,6 +1,7 @@
 """Mission items and the mission made of a plan."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,13 @@ def test_an_incomplete_fence_polygon_is_left_out():
     assert len(fence_rings(fence[:3])) == 0
     assert len(fence_rings(fence[:6])) == 1
     assert len(fence_rings((fence[0], *fence[4:]))) == 1
+
+
+@pytest.mark.parametrize("count", [math.nan, math.inf, -math.inf, 1e38, -4.0])
+def test_a_corner_count_that_is_no_number_makes_no_ring(count):
+    first, *others = fence_items([SQUARE], [SQUARE])
+    (exclusion,) = fence_rings((replace(first, params=(count, 0.0, 0.0, 0.0)), *others))
+    assert not exclusion.inclusion
 
 
 def test_rally_points_have_the_missions_altitude():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -38,7 +39,7 @@ def fence_rings(fence: Sequence[MissionItem]) -> tuple[Ring, ...]:
     at = 0
     while at < len(fence):
         first = fence[at]
-        count = int(first.params[0]) if first.command in _INSIDE else 0
+        count = _corner_count(first)
         corners = fence[at : at + count]
         if count < 3 or len(corners) < count or any(c.command != first.command for c in corners):
             at += 1
@@ -47,3 +48,11 @@ def fence_rings(fence: Sequence[MissionItem]) -> tuple[Ring, ...]:
         rings.append(Ring(places, _INSIDE[first.command]))
         at += count
     return tuple(rings)
+
+
+def _corner_count(item: MissionItem) -> int:
+    """Return how many corners an item says its polygon has; 0 where it is no corner of one."""
+    # Items come from links and files, where NaN stands for what was not set.
+    if item.command not in _INSIDE or not math.isfinite(item.params[0]):
+        return 0
+    return int(item.params[0])

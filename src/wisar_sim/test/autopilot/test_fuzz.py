@@ -1,5 +1,6 @@
 """Hostile input: sound frames with any content, at both ends, and the benchmark's own fuzzing."""
 
+import math
 import random
 import re
 import struct
@@ -19,12 +20,19 @@ from wisar_planner.mavlink.session import Session
 from wisar_planner.mavlink.transfer import MissionTransfer
 from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_sim.autopilot.autopilot import Autopilot
+from wisar_sim.autopilot.mission_server import StoredItem
 from wisar_sim.autopilot.profile import PROFILES
 
 GROUND, VEHICLE = Address(245, 190), Address(1, 1)
 MISSION = build_mission([(57.0, -4.0), (57.001, -4.0)], altitude_m=40.0, speed=5.0)
+FLOWN = [StoredItem(i.command, i.frame, i.params, i.x, i.y, i.z) for i in MISSION.items]
 _MISSION_TYPES = [m for m in mav.mavlink_map.values() if "MISSION" in m.msgname]
 _TYPES = [*mav.mavlink_map.values(), *_MISSION_TYPES * 20]
+_CORNERS = (
+    mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+)
+_FENCE_TYPES = ("MISSION_COUNT", "MISSION_ITEM", "MISSION_ITEM_INT")
 _NANS = [struct.pack("<f", v) for v in (float("nan"), float("inf"), -float("inf"), 0.0, 1e38)]
 
 
@@ -33,6 +41,18 @@ def offset(made, field):
     before = made.ordered_fieldnames.index(field)
     fields = re.findall(r"\d*[a-zA-Z]", made.unpacker.format)
     return struct.calcsize("<" + "".join(fields[:before]))
+
+
+def make_fence_of_one(rng, made, payload):
+    """Make a frame one of those that upload a fence of one corner, told to be any number."""
+    payload[offset(made, "mission_type")] = mav.MAV_MISSION_TYPE_FENCE
+    if made.msgname == "MISSION_COUNT":
+        struct.pack_into("<H", payload, offset(made, "count"), 1)
+        return
+    struct.pack_into("<HH", payload, offset(made, "seq"), 0, rng.choice(_CORNERS))
+    payload[offset(made, "frame")] = mav.MAV_FRAME_GLOBAL
+    at = offset(made, "param1")
+    payload[at : at + 4] = rng.choice(_NANS)
 
 
 def anything(rng, source, target):
@@ -50,6 +70,8 @@ def anything(rng, source, target):
             payload[offset(made, field)] = value
     if "mission_type" in made.fieldnames:
         payload[offset(made, "mission_type")] = rng.choice([0, 0, 0, 1, 2, 77, 255])
+    if made.msgname in _FENCE_TYPES and rng.random() < 0.3:
+        make_fence_of_one(rng, made, payload)
     ids = bytes([source.system, source.component]) + made.id.to_bytes(3, "little")
     body = bytes([len(payload), 0, 0, 0]) + ids + payload
     checksum = mav.x25crc(bytearray(body + bytes([made.crc_extra]))).crc
@@ -61,9 +83,11 @@ def test_an_autopilot_survives_any_content(profile):
     rng = random.Random(1)
     autopilot = Autopilot(PROFILES[profile], GeoOrigin(57.0, -4.0))
     receiver, down = Codec(1, 1), Codec(1, 1)
-    now, understood = 0.0, 0
+    now, understood, judged = 0.0, 0, 0
     for _ in range(20_000):
         now += 0.02
+        if not autopilot.vehicle.items:  # the fence is judged with a mission only
+            autopilot.vehicle.load(FLOWN)
         frame = anything(rng, GROUND, VEHICLE)
         for heard in receiver.decode(frame)[0]:
             understood += 1
@@ -71,7 +95,10 @@ def test_an_autopilot_survives_any_content(profile):
                 down.encode(answer)
         for told in autopilot.tick(now):
             down.encode(told)
+        fence = autopilot.missions.lists[mav.MAV_MISSION_TYPE_FENCE]
+        judged += any(not math.isfinite(item.params[0]) for item in fence)
     assert understood > 15_000
+    assert judged > 0 or PROFILES[profile].checks_values
 
 
 @pytest.mark.parametrize(

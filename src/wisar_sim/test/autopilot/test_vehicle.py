@@ -264,6 +264,26 @@ def test_unknown_commands_and_nan_are_answered():
     assert bench.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, math.nan) == mav.MAV_RESULT_DENIED
 
 
+@pytest.mark.parametrize("profile", ["px4", "mavsdk"])
+@pytest.mark.parametrize("corners", [math.nan, math.inf, -math.inf])
+def test_a_fence_without_a_number_of_corners_is_kept_but_not_judged(profile, corners):
+    bench = Bench(profile)
+    bench.upload(mission())
+    place = (round(HOME.latitude * 1e7), round(HOME.longitude * 1e7))
+    inclusion = mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+    bench.send(mav.MAVLink_mission_count_message(1, 1, 1, 1))
+    bench.send(
+        mav.MAVLink_mission_item_int_message(
+            1, 1, 0, 0, inclusion, 0, 1, corners, 0, 0, 0, *place, 0.0, 1
+        )
+    )
+    assert bench.last("MISSION_ACK").type == mav.MAV_MISSION_ACCEPTED
+    assert bench.last("MISSION_ACK").mission_type == mav.MAV_MISSION_TYPE_FENCE
+    bench.step(1.1)
+    bench.arm()
+    assert bench.start() == OK
+
+
 def test_fences_of_circles_are_kept_but_not_judged():
     bench = Bench()
     circle = fence_items([FRAME.to_geodetic(CORNERS)])[:1]

@@ -30,6 +30,12 @@ _WAITING_COMMANDS = frozenset(
     }
 )
 
+# Corners of a fence's polygons, and whether to stay inside.
+_POLYGONS = {
+    mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+}
+
 
 class Mode(Enum):
     """What the vehicle is doing."""
@@ -286,18 +292,22 @@ def _fence_rings(
 ) -> list[tuple[NDArray[np.float64], bool]]:
     rings = []
     at = 0
-    polygons = {
-        mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
-        mav.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
-    }
     while at < len(fence):
         item = fence[at]
-        corners = int(item.params[0]) if item.command in polygons else 0
+        corners = _corner_count(item)
         if corners < 3 or at + corners > len(fence):
             at += 1
             continue
         ring = fence[at : at + corners]
         places = frame.to_local([i.x * _DEGREES for i in ring], [i.y * _DEGREES for i in ring])
-        rings.append((places, polygons[item.command]))
+        rings.append((places, _POLYGONS[item.command]))
         at += corners
     return rings
+
+
+def _corner_count(item: StoredItem) -> int:
+    """Return how many corners an item says its polygon has; 0 where it is no corner of one."""
+    # What a client sends is kept as it is, and may be NaN or infinite.
+    if item.command not in _POLYGONS or not math.isfinite(item.params[0]):
+        return 0
+    return int(item.params[0])
