@@ -117,6 +117,7 @@ def test_wrong_options_are_refused(wrong):
     [
         (["--planner", "nobody"], "nobody"),
         (["--planner", "lawnmower", "--runs", "0"], "runs"),
+        (["--planner", "lawnmower", "--runs", "1", "--jobs", "0"], "jobs must be at least 1"),
         (["--planner", "lawnmower", "--step", "-1"], "step_length"),
         (["--planner", "lawnmower", "--step", "9", "--budget", "8"], "--step: 9 m is longer than"),
         (

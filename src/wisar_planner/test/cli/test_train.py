@@ -55,6 +55,7 @@ def test_mistakes_are_told_in_one_line(tmp_path, capsys) -> None:
         ([str(tmp_path / "none.yaml")], "No such file"),
         ([str(config), "--seed", "-1"], "seed must be at least 0"),
         ([str(config), "--device", "quantum"], "--device quantum is not to be had"),
+        ([str(config), "--threads", "-1"], "--threads must be at least 1"),
     ):
         assert main(["train", *arguments, "--out", str(tmp_path / "run")]) == 2
         error = capsys.readouterr().err

@@ -3,7 +3,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
-from wisar_planner.evaluation.figures import save_figures
+from wisar_planner.evaluation.figures import draw_profile, save_figures
 from wisar_planner.evaluation.gallery import choose_maps, draw_gallery
 from wisar_planner.evaluation.palette import looks
 from wisar_planner.evaluation.run import PlannerSpec
@@ -40,6 +40,21 @@ def test_every_figure_shows_both_planners_in_their_colours(drawn):
             )
             near = np.abs(colours[:, None, :] - blends).max(axis=2).min(axis=1) < 0.02
             assert counts[near].sum() > 200, f"{name} is missing in {path.name}"
+
+
+def test_the_profile_is_as_wide_as_its_best_planner_needs():
+    """Where e_p passes 1, as probability outside the area counts, the curve never comes to 0."""
+    thresholds = [0.0, 0.25, 0.5, 0.75, 1.0]
+
+    def profile(*mean: float):
+        curve = {"mean": mean, "low": mean, "high": mean}
+        return {"e_p_mean": sum(mean), "performance_profile": curve}
+
+    good, bad = profile(1.0, 1.0, 1.0, 1.0, 0.3), profile(1.0, 0.6, 0.0, 0.0, 0.0)
+    styles = looks(["good", "bad"])
+    for planners, last in (({"good": good, "bad": bad}, 1.0), ({"bad": bad}, 0.5)):
+        results = {"thresholds": thresholds, "planners": planners}
+        assert draw_profile(results, styles).axes[0].get_xlim() == (0.0, last)
 
 
 def test_one_run_in_which_nobody_is_found_can_be_drawn(tmp_path):

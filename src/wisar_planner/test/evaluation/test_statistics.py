@@ -6,6 +6,7 @@ from scipy import stats
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.statistics import (
+    _bca_interval,
     bootstrap_ratio,
     exceedance,
     histogram_quantiles,
@@ -107,6 +108,17 @@ def test_few_found_give_an_interval_from_the_samples_that_have_one():
     denominators[3] = 4.0
     estimate = bootstrap_ratio(denominators * 100.0, denominators)
     assert float(estimate.low) == float(estimate.high) == 100.0
+
+
+def test_samples_without_a_ratio_do_not_move_the_interval():
+    """The bias is counted among the samples that have a ratio: as if the others were not drawn."""
+    rng = np.random.default_rng(5)
+    samples = rng.normal(size=(4000, 1))
+    value, acceleration = np.array([0.1]), np.zeros(1)
+    holes = np.full((1000, 1), np.nan)
+    with_holes = _bca_interval(np.concatenate([samples, holes]), value, acceleration, 0.95)
+    without = _bca_interval(samples, value, acceleration, 0.95)
+    np.testing.assert_allclose(with_holes, without, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

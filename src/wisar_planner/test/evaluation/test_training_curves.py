@@ -1,5 +1,7 @@
 """Tables and figures of trainings."""
 
+import dataclasses
+
 import pytest
 
 pytest.importorskip("torch")
@@ -105,6 +107,22 @@ def test_a_curve_comes_from_the_folder_of_a_run(tmp_path, config, policy) -> Non
     read = read_curve(tmp_path)
     assert (read.policy, read.seed, read.config) == (policy, 4, config)
     assert read.best.share == 0.3
+
+
+def test_the_best_policy_is_the_one_that_is_kept() -> None:
+    """By both kinds of worlds, where both were flown."""
+    early = Validation(10, 1, 2.0, 0.3, 0.87, {"other_worlds": 0.78})
+    late = Validation(20, 2, 4.0, 0.3, 0.88, {"other_worlds": 0.75})
+    curve = TrainingCurve("sac", 0, [early, late], config={"worlds": {"paper_share": 0.5}})
+    assert curve.best is early
+    assert dataclasses.replace(curve, config={"worlds": {"paper_share": 0.9}}).best is late
+
+
+def test_a_figure_of_an_unknown_kind_is_refused_before_flying(tmp_path, capsys) -> None:
+    assert main(["curves", str(tmp_path), "--figure", str(tmp_path / "curves.xyz")]) == 2
+    error = capsys.readouterr().err
+    assert "--figure" in error
+    assert len(error.splitlines()) == 1
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path) -> None:

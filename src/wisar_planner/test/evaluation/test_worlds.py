@@ -157,7 +157,8 @@ def test_one_table_has_a_row_a_world_and_goes_on_where_it_stopped(tmp_path, caps
     # Finished: the runs that were kept for continuing are gone.
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.json", "table.md", "worlds.yaml"]
 
-    kept = tmp_path / "kept"
+    kept = tmp_path / "kept.v1.2"  # a folder may have a dot in its name
+    kept.mkdir()
     resumed = [*command, "--resume", str(kept), "--json", str(again)]
     assert main([*resumed, "--world", "short"]) == 0
     assert len(list(kept.glob("*.jsonl"))) == 1

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.errors import InvalidInput
     from wisar_planner.evaluation.run import PlannerSpec
     from wisar_planner.evaluation.runner import Evaluation, run_evaluation
-    from wisar_planner.evaluation.statistics import bootstrap_ratio
+    from wisar_planner.evaluation.statistics import bootstrap_ratio, standard_deviation
     from wisar_planner.policy.model import load_model
 
     model = load_model(args.model)
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         "maps": args.runs,
         "seed": args.seed,
         "e_p_mean": round(float(mean.value), 5),
-        "e_p_std": round(float(reached.std()), 5),
+        "e_p_std": round(standard_deviation(reached), 5),
         "e_p_95": [round(float(mean.low), 5), round(float(mean.high), 5)],
         "share_of_bound": round(float(share.value), 5),
         "share_of_bound_95": [round(float(share.low), 5), round(float(share.high), 5)],

@@ -43,6 +43,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table and write what was asked for."""
+    from wisar_planner.cli.output_files import check_names
     from wisar_planner.cli.training_needs import require
 
     require("curves of trainings need PyTorch", "torch")
@@ -51,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
     from wisar_planner.evaluation.training_curves import draw, fly_fresh_maps, markdown, read_curve
 
+    if args.figure:
+        check_names({}, [("--figure", args.figure, (".png", ".pdf", ".svg"))])
     curves = [read_curve(folder) for folder in args.runs]
     if args.fresh_maps is not None:
         both = list(zip(curves, args.runs, strict=True))

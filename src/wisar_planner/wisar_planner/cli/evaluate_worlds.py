@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 # What a world says itself, or what has no meaning for several.
 _OTHERS = ("config", "map", "area", "step", "swath_radius", "budget", "figures", "gap", "dask")
+# Suffixes of the folders that runs are kept in.
+_FOLDERS = ("", ".runs")
 
 
 def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int:
@@ -34,7 +36,8 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
     if args.start != "uniform":
         raise InvalidInput("--start does not go with --worlds; write it into the file")
     keep = args.resume or (args.json and args.json.with_name(args.json.name + ".runs"))
-    if keep is not None and (keep.is_file() or keep.suffix not in ("", ".runs")):
+    # One that does not exist and has the suffix of a file is not meant as a folder.
+    if keep is not None and not keep.is_dir() and (keep.exists() or keep.suffix not in _FOLDERS):
         raise InvalidInput(f"--resume: {keep} must be a folder, for there is a file per world")
     worlds = _selected(args)
     if keep is not None:

@@ -80,9 +80,12 @@ def run(args: argparse.Namespace) -> int:
     require("training needs PyTorch", "torch")
     import torch
 
+    from wisar_planner.errors import InvalidInput
     from wisar_planner.training.algorithms import make_run, read_any_config
     from wisar_planner.training.records import has_checkpoint
 
+    if args.threads < 0:
+        raise InvalidInput(f"--threads must be at least 1, or 0 for all cores, not {args.threads}")
     names = ("seed", "steps", "ablation", "start")
     given = {name: getattr(args, name) for name in names}
     config = read_any_config(args.config, **{k: v for k, v in given.items() if v is not None})

@@ -43,23 +43,15 @@ def training_environment_steps(seconds: float = _SECONDS) -> BenchRow:
 def training_gain_error(paths: int = 50) -> BenchRow:
     """Measure how far the raster's gains lie from the exact integral, on random walks."""
     from wisar_planner.policy.rollout import Terrain
-    from wisar_planner.policy.unseen_map import UnseenMap, window_side
 
     errors = []
     for seed in range(paths):
         rng = np.random.default_rng(seed)
         problem = SearchProblem.paper(rng)
         terrain = Terrain.of(problem)
-        one = np.ones(1, dtype=np.float32)
-        unseen = UnseenMap(
-            terrain.density.copy(),
-            one * np.float32(terrain.step),
-            one * np.float32(terrain.radius),
-            window_side(terrain.step, terrain.radius),
-        )
+        unseen = terrain.unseen(1)
         waypoints = _random_walk(problem, rng)
-        origin = np.array([terrain.grid.x0, terrain.grid.y0])
-        cells = ((waypoints - origin) / terrain.grid.cell).astype(np.float32)
+        cells = terrain.to_cells(waypoints).astype(np.float32)
         unit = terrain.unit / (2.0 * terrain.radius * terrain.step)
         unseen.see(cells[:1], cells[:1])
         ours = [float(unseen.see(a[None], b[None])[0]) * unit for a, b in itertools.pairwise(cells)]
@@ -147,7 +139,10 @@ def _rate(step: Callable[[], None], seconds: float) -> float:
 
 
 class _Learner:
-    """Our learner, with the rates of config/sac.yaml, flying and learning step by step."""
+    """Our learner, flying and learning step by step.
+
+    Its rates are constant, those of config/sac.yaml averaged over a run.
+    """
 
     def __init__(self) -> None:
         import torch

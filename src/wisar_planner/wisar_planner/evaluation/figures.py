@@ -91,11 +91,13 @@ def draw_profile(results: Mapping[str, Any], styles: Mapping[str, Look]) -> Figu
     figure, axes = _figure("threshold of $e_p$ at the end", "share of runs above it (95% band)")
     thresholds = results["thresholds"]
     last = 0.0
+    beyond = np.append(thresholds, thresholds[-1])
     for name in _best_first(results):
         profile = results["planners"][name]["performance_profile"]
         _line(axes, thresholds, profile, styles[name], name)
-        last = max(last, thresholds[np.argmax(np.asarray(profile["mean"]) == 0.0)])
-    axes.set_xlim(0.0, last or 1.0)
+        # The first threshold that no run passes; all of them where some run passes the last.
+        last = max(last, beyond[np.argmin(np.append(profile["mean"], 0.0) > 0.0)])
+    axes.set_xlim(0.0, last or thresholds[-1])
     axes.set_ylim(0.0, 1.0)
     axes.yaxis.set_major_formatter(_percent)
     axes.legend(frameon=False, loc="upper right")

@@ -144,8 +144,16 @@ def _tasks(
 
 @contextmanager
 def parallel_pool(jobs: int, dask: str | None) -> Iterator[joblib.Parallel]:
-    """Give a joblib pool on the local cores or on a Dask cluster."""
+    """Give a joblib pool on the local cores or on a Dask cluster.
+
+    Raises
+    ------
+    InvalidInput
+        When there would be no process, or no scheduler answers.
+    """
     if dask is None:
+        if jobs == 0:
+            raise InvalidInput("jobs must be at least 1, or -1 for one process per core, not 0")
         yield joblib.Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
         return
     from distributed import Client

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
-from wisar_planner.evaluation.streams import Facet, Purpose, stream
+from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap
 from wisar_planner.search import SearchArea, SearchProblem
 
@@ -154,7 +154,7 @@ class RandomMaps:
     def problem(self, seed: int, index: int) -> SearchProblem:
         """Return random problem `index` of `seed`."""
         x0, y0, x1, y1 = self.area
-        rng = stream(seed, Purpose.EVALUATION, index, Facet.MAP)
+        rng = stream(seed, index, Facet.MAP)
         means = rng.uniform((x0, y0), (x1, y1), size=(self.components, 2))
         weights = np.full(self.components, 1.0 / self.components)
         covariance = np.reshape(np.asarray(self.covariance, dtype=np.float64), (2, 2))
@@ -237,7 +237,7 @@ def persons_in_area(problem: SearchProblem, count: int, seed: int, index: int) -
     (P, 2) float64
         Their positions, m.
     """
-    rng = stream(seed, Purpose.EVALUATION, index, Facet.PERSONS)
+    rng = stream(seed, index, Facet.PERSONS)
     kept = np.empty((0, 2))
     while len(kept) < count:
         # As many as should do, given the share of the map that lies inside.
@@ -275,7 +275,7 @@ def _start(
         centres = grid.centres().reshape(-1, 2)
         inside = area.contains(centres)
         return centres[inside][np.argmax(pdm.rasterize(grid).ravel()[inside])]
-    rng = stream(seed, Purpose.EVALUATION, index, Facet.START)
+    rng = stream(seed, index, Facet.START)
     while True:
         points = rng.uniform((x0, y0), (x1, y1), size=(64, 2))
         inside = area.contains(points)

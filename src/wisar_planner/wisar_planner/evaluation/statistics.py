@@ -206,8 +206,10 @@ def _bca_interval(
 ) -> tuple[Array, Array]:
     """Return the BCa interval of each column of the bootstrap `samples`, `(resamples, m)`."""
     # Ties count half, so that a value on a lattice (a share of few runs) is not biased.
-    below = ((samples < value).mean(axis=0) + (samples <= value).mean(axis=0)) / 2.0
-    z0 = special.ndtri(np.clip(below, 0.5 / len(samples), 1.0 - 0.5 / len(samples)))
+    below = ((samples < value).sum(axis=0) + (samples <= value).sum(axis=0)) / 2.0
+    # Samples without a ratio say nothing of where the others lie.
+    usable = np.maximum(np.isfinite(samples).sum(axis=0), 1)
+    z0 = special.ndtri(np.clip(below / usable, 0.5 / usable, 1.0 - 0.5 / usable))
     ends = []
     for tail in ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0):
         z = z0 + special.ndtri(tail)

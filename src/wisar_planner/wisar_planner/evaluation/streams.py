@@ -1,10 +1,10 @@
-"""Random streams that never overlap, one per purpose, run and facet.
+"""Random streams of evaluations that never overlap, one per run and facet.
 
 Map `i` of seed `S` depends on `(S, i)` alone: not on how many runs there are, on
 which worker makes it, or on what was drawn before. This is what spawn keys of
-`numpy.random.SeedSequence` are for; a key here is ``(purpose, index, facet)``.
+`numpy.random.SeedSequence` are for; a key here is ``(0, index, facet)``.
 
-Training, validation and evaluation use different purposes, so a policy is never
+Training and validation draw from PyTorch's generators (`training.streams`), so a policy is never
 judged on a map that it was trained on or selected with, whatever the seeds.
 """
 
@@ -16,13 +16,8 @@ import numpy as np
 
 from wisar_planner.errors import InvalidInput
 
-
-class Purpose(IntEnum):
-    """What a stream is for. The values are part of every published number: never change one."""
-
-    EVALUATION = 0
-    TRAINING = 1
-    VALIDATION = 2
+# First number of every key; like the values below part of every published number: never change.
+_EVALUATION = 0
 
 
 class Facet(IntEnum):
@@ -33,15 +28,13 @@ class Facet(IntEnum):
     PERSONS = 2
 
 
-def stream(seed: int, purpose: Purpose, index: int, facet: Facet) -> np.random.Generator:
+def stream(seed: int, index: int, facet: Facet) -> np.random.Generator:
     """Return the generator for one draw of one run.
 
     Parameters
     ----------
     seed
         The user's seed, not negative.
-    purpose
-        What the numbers are for; different purposes never share numbers.
     index
         Number of the run, from 0.
     facet
@@ -56,5 +49,5 @@ def stream(seed: int, purpose: Purpose, index: int, facet: Facet) -> np.random.G
         raise InvalidInput(f"seed: {seed} is negative; use 0 or a positive integer")
     if index < 0:
         raise InvalidInput(f"index: {index} is negative; runs count from 0")
-    key = (int(purpose), index, int(facet))
+    key = (_EVALUATION, index, int(facet))
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

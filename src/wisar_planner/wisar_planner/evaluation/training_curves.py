@@ -59,7 +59,8 @@ class TrainingCurve:
     @property
     def best(self) -> Validation:
         """The validation whose policy is kept."""
-        return max(self.validations, key=lambda each: each.share)
+        paper_share = self.config.get("worlds", {}).get("paper_share", 1.0)
+        return max(self.validations, key=lambda each: each.score(paper_share))
 
     @property
     def minutes_to_goal(self) -> float | None:

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter
 
 from wisar_planner.errors import InvalidInput, positive
 from wisar_planner.evaluation.scenario import Drone, FixedMap, RandomMaps, Scenario
-from wisar_planner.evaluation.streams import Facet, Purpose, stream
+from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap, RasterMap
 from wisar_planner.search import SearchArea, SearchProblem
 
@@ -47,7 +47,7 @@ class VariedMixtures:
 
     def problem(self, seed: int, index: int) -> SearchProblem:
         """Return random problem `index` of `seed`."""
-        rng = stream(seed, Purpose.EVALUATION, index, Facet.MAP)
+        rng = stream(seed, index, Facet.MAP)
         count = self.base.components
         x0, y0, x1, y1 = self.base.area
         means = rng.uniform((x0, y0), (x1, y1), size=(count, 2))
@@ -100,7 +100,7 @@ class SmoothRasters:
 
     def problem(self, seed: int, index: int) -> SearchProblem:
         """Return random problem `index` of `seed`."""
-        rng = stream(seed, Purpose.EVALUATION, index, Facet.MAP)
+        rng = stream(seed, index, Facet.MAP)
         grid = Grid.covering(self.base.area, self.cell)
         noise = rng.standard_normal((grid.rows, grid.columns))
         field = gaussian_filter(noise, self.smoothness / self.cell, mode="wrap")

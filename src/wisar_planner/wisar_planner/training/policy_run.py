@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import torch
 
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import DIRECTED
 from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.training.judging import Flights, fly_maps
 from wisar_planner.training.networks import Networks, Policy, likeliest_turn
-from wisar_planner.training.records import Validation, card_of
+from wisar_planner.training.records import Validation, card_of, read_counters
 from wisar_planner.training.run import Run, RunConfig
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -62,6 +63,26 @@ class PolicyRun(Run[Config]):
         }
         self._distribution = self._start.distribution
 
+    def _counters(self) -> dict[str, Any]:
+        return {"start_sha256": self._start.card["weights_sha256"]}
+
+    def load_checkpoint(self) -> None:
+        """Go on from the folder's checkpoint; see `Run.load_checkpoint`.
+
+        Raises
+        ------
+        InvalidInput
+            Also when the policy to begin with is not the one that the run began with.
+        """
+        if self.folder is not None:
+            begun = read_counters(self.folder).get("start_sha256")
+            if begun not in (None, self._start.card["weights_sha256"]):
+                raise InvalidInput(
+                    f"start: {self.config.start} is another policy than {self.folder} began with; "
+                    "take another folder"
+                )
+        super().load_checkpoint()
+
     def _policy(self) -> Policy:
         """Return the present policy without noise; it changes as the actor learns."""
         return partial(likeliest_turn, self.actor, self._distribution)
@@ -76,13 +97,12 @@ class PolicyRun(Run[Config]):
         if worlds.paper_share == 1.0:
             return flights
         others = fly_maps(
-            policy, maps // 2, generator, dataclasses.replace(worlds, paper_share=0.0)
+            policy, max(1, maps // 2), generator, dataclasses.replace(worlds, paper_share=0.0)
         )
         return flights._replace(figures={"other_worlds": float(others.share.mean())})
 
     def _score(self, result: Validation) -> float:
-        share, others = self.config.worlds.paper_share, result.figures.get("other_worlds", 0.0)
-        return share * result.share + (1.0 - share) * others
+        return result.score(self.config.worlds.paper_share)
 
     def _save_model(self, path: Path, result: Validation) -> None:
         weights = {name: value.detach().cpu().numpy() for name, value in self.actor.items()}

@@ -14,30 +14,30 @@ from wisar_planner.search.area import SearchArea
 from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.worlds import WorldDistribution, Worlds, random_worlds
 
-# Worlds drawn together.
+# Worlds other than the paper's that are drawn together: their rasters are large.
 _TOGETHER = 16
 
 
 def random_problems(
-    count: int, distribution: WorldDistribution, generator: torch.Generator
+    paper: int, others: int, distribution: WorldDistribution, generator: torch.Generator
 ) -> Iterator[SearchProblem]:
     """Yield random search problems; a cell of their worlds' rasters is a metre wide.
 
     Parameters
     ----------
-    count : int
-        How many.
+    paper : int
+        How many of the paper's setup; those come first, drawn together.
+    others : int
+        How many of other worlds.
     distribution : WorldDistribution
-        What their worlds look like. Those of the paper's setup, as many as its share of the count,
-        come first: they need smaller rasters.
+        What the other worlds look like.
     generator : torch.Generator
         Source of randomness.
     """
-    paper = round(distribution.paper_share * count)
-    for share, some in ((1.0, paper), (0.0, count - paper)):
+    for share, count, together in ((1.0, paper, paper), (0.0, others, _TOGETHER)):
         kind = dataclasses.replace(distribution, paper_share=share)
-        for first in range(0, some, _TOGETHER):
-            worlds = random_worlds(min(_TOGETHER, some - first), kind, generator)
+        for first in range(0, count, max(1, together)):
+            worlds = random_worlds(min(together, count - first), kind, generator)
             for k in range(len(worlds.steps)):
                 yield _problem(worlds, k)
 

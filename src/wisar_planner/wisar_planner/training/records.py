@@ -47,6 +47,20 @@ class Validation:
     share: float
     figures: dict[str, float]
 
+    def score(self, paper_share: float) -> float:
+        """Return what a run keeps the policy of that has most of it.
+
+        The share of the bound; where other worlds were flown, too, of both kinds as training has
+        them.
+
+        Parameters
+        ----------
+        paper_share : float
+            Share of the worlds with the paper's setup.
+        """
+        others = self.figures.get("other_worlds", self.share)
+        return paper_share * self.share + (1.0 - paper_share) * others
+
     def log(self, writer: SummaryWriter) -> None:
         """Write to TensorBoard."""
         for name, value in (

@@ -116,7 +116,9 @@ class Run(ABC, Generic[Config]):
         log = None
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
-            log = SummaryWriter(str(self.folder), purge_step=self.steps)
+            # What came after the checkpoint is flown anew; its own validation stays.
+            begun = self.steps + 1 if self.validations else 0
+            log = SummaryWriter(str(self.folder), purge_step=begun)
         try:
             began = time.monotonic()
             for figures in self._learn(on_progress or (lambda _steps, _updates: None)):

@@ -4,12 +4,13 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
-from wisar_planner.policy.model import find_model, load_model
+from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.training.algorithms import read_any_config
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.run import ExpertRun
@@ -73,6 +74,45 @@ def test_a_run_on_the_papers_setup_alone_is_judged_there(tmp_path, trained) -> N
     run = trained(paper, tmp_path)
     assert "other_worlds" not in run.validations[0].figures
     assert 0.5 < run.validations[0].share < 1.0
+
+
+@pytest.mark.parametrize("share", [0.03, 0.6])
+def test_the_share_of_the_papers_setup_is_kept(share) -> None:
+    worlds = dataclasses.replace(TINY.worlds, paper_share=share)
+    config = dataclasses.replace(TINY, flights=1001, remembered_flights=1001, worlds=worlds)
+    firsts, flights = zip(*ExpertRun(config, None, CPU)._batches(), strict=True)
+    paper, others = np.sum(flights, axis=0)
+    assert paper == round(1001 * share)
+    assert paper + others == 1001
+    assert list(firsts) == list(range(0, 1001, 16))
+
+
+def test_a_run_does_not_go_on_from_another_start(tmp_path, trained) -> None:
+    """The file that a run began with is overwritten by another policy."""
+    start = tmp_path / "start.safetensors"
+    config = dataclasses.replace(TINY, rounds=1, start=str(start))
+    policy = load_model(find_model("sac"))
+    save_model(start, policy.weights, policy.card)
+    trained(config, tmp_path / "run", stop_after=1)
+    save_model(start, {k: v + np.float32(0.1) for k, v in policy.weights.items()}, policy.card)
+    with pytest.raises(InvalidInput, match=r"another policy than .* began with"):
+        ExpertRun(config, tmp_path / "run", CPU).load_checkpoint()
+
+
+def test_the_log_keeps_its_validations_when_a_run_goes_on(tmp_path, trained) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    run = trained(TINY, tmp_path, stop_after=2)
+    log = EventAccumulator(str(tmp_path))
+    log.Reload()
+    logged = [each.step for each in log.Scalars("validation/e_p")]
+    assert logged == [each.steps for each in run.validations]
+
+
+def test_curves_fly_the_policy_of_a_run_on_a_single_fresh_map(tmp_path, trained, capsys) -> None:
+    trained(dataclasses.replace(TINY, rounds=1), tmp_path)
+    assert main(["curves", str(tmp_path), "--fresh-maps", "1"]) == 0
+    assert "tiny, from search" in capsys.readouterr().out
 
 
 def test_the_command_learns_from_search_and_tells_mistakes_in_one_line(tmp_path, capsys) -> None:

@@ -30,7 +30,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def taught(model):
-    return lesson(CONFIG, model, 8, (3, 0))
+    return lesson(CONFIG, model, (4, 4), (3, 0))
 
 
 @pytest.mark.parametrize("flown", [0, 1, 20])
@@ -69,7 +69,7 @@ def test_labels_are_finite_turns_of_whole_flights(taught) -> None:
 
 
 def test_the_same_seed_gives_the_same_lesson_and_another_another(model, taught) -> None:
-    again, other = (lesson(CONFIG, model, 8, seed) for seed in ((3, 0), (3, 1)))
+    again, other = (lesson(CONFIG, model, (4, 4), seed) for seed in ((3, 0), (3, 1)))
     for name in Labels._fields:
         np.testing.assert_array_equal(getattr(taught.labels, name), getattr(again.labels, name))
     assert again.found == taught.found
@@ -77,7 +77,7 @@ def test_the_same_seed_gives_the_same_lesson_and_another_another(model, taught) 
 
 
 def test_a_lesson_without_flights_is_empty(model) -> None:
-    labels, seen, found = lesson(CONFIG, model, 0, (1,))
+    labels, seen, found = lesson(CONFIG, model, (0, 0), (1,))
     assert (len(labels.turn), seen, found) == (0, 0.0, 0.0)
 
 
@@ -104,7 +104,7 @@ def test_what_search_is_said_to_find_is_what_its_path_sees(model, monkeypatch) -
 
     monkeypatch.setattr(module, "random_problems", kept)
     paper = dataclasses.replace(CONFIG, worlds=WorldDistribution())
-    told = lesson(paper, model, 2, (5,))
+    told = lesson(paper, model, (2, 0), (5,))
     exact = sum(
         SearchPath(rest, problem.swath_radius, "sac").seen_probability(problem.pdm) / terrain.unit
         for problem, (terrain, _, rest) in zip(problems, flights, strict=True)

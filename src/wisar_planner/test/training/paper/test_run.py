@@ -64,7 +64,10 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algorithm": "dqn"}, "algorithm must be improvement or ppo or paper_sac"),
+        (
+            {"algorithm": "dqn"},
+            "algorithm must be improvement or ppo or expert_iteration or paper_sac",
+        ),
         ({"speed": 3}, "unknown field speed"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"seed": -1}, "seed must be at least 0"),

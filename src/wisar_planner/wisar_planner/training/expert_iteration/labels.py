@@ -76,7 +76,9 @@ class Lesson(NamedTuple):
     found: float
 
 
-def lesson(config: ExpertConfig, model: Model, flights: int, seed: tuple[int, ...]) -> Lesson:
+def lesson(
+    config: ExpertConfig, model: Model, flights: tuple[int, int], seed: tuple[int, ...]
+) -> Lesson:
     """Let search label flights of a policy in random worlds.
 
     The same arguments give the same lesson, whatever the machine's speed.
@@ -87,15 +89,15 @@ def lesson(config: ExpertConfig, model: Model, flights: int, seed: tuple[int, ..
         The configuration.
     model : Model
         The policy.
-    flights : int
-        Number of flights.
+    flights : (int, int)
+        Number of flights in the paper's setup and in other worlds.
     seed : tuple of int
         Seed of the worlds, the flights and the search.
     """
     rng = np.random.default_rng(seed)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     parts, seen, found = [], 0.0, 0.0
-    for problem in random_problems(flights, config.worlds, generator):
+    for problem in random_problems(*flights, config.worlds, generator):
         terrain = Terrain.of(problem)
         path = fly(problem, terrain, model, rng=rng if rng.random() < _RANDOM_SHARE else None)[0]
         if len(path) <= problem.steps:

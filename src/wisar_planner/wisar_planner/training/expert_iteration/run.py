@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from wisar_planner.training.policy_run import PolicyRun
 from wisar_planner.training.problems import random_problems
 from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
 from wisar_planner.training.run import OnProgress
+from wisar_planner.training.worlds import WorldDistribution
 
 # Flights that a process labels, or problems that it flies, at a time.
 _AT_A_TIME = 16
@@ -44,20 +45,17 @@ class ExpertRun(PolicyRun[ExpertConfig]):
 
     def fly(self, maps: int, generator: torch.Generator) -> Flights:
         """Fly the present policy; see `Run.fly`."""
-        worlds = self.config.worlds
-        model = self._model()
-
-        def flown(count: int, paper_share: float) -> Tensor:
-            distribution = dataclasses.replace(worlds, paper_share=paper_share)
-            problems = random_problems(count, distribution, generator)
-            return torch.tensor(list(_parallel(fly_problem, ((each, model) for each in problems))))
-
-        efficiency, share = flown(maps, 1.0).T
-        if worlds.paper_share == 1.0:
-            return Flights(efficiency, share, {})
-        return Flights(
-            efficiency, share, {"other_worlds": float(flown(maps // 2, 0.0)[:, 1].mean())}
+        worlds, model = self.config.worlds, self._model()
+        others = 0 if worlds.paper_share == 1.0 else max(1, maps // 2)
+        # The same maps of the paper's setup as other runs draw from this generator.
+        problems = itertools.chain(
+            random_problems(maps, 0, WorldDistribution(), generator),
+            random_problems(0, others, worlds, generator),
         )
+        flown = torch.tensor(list(_parallel(fly_problem, ((each, model) for each in problems))))
+        efficiency, share = flown[:maps].T
+        figures = {"other_worlds": float(flown[maps:, 1].mean())} if others else {}
+        return Flights(efficiency, share, figures)
 
     def _model(self) -> Model:
         """Return the present policy as planners fly it."""
@@ -72,11 +70,8 @@ class ExpertRun(PolicyRun[ExpertConfig]):
 
     def _round(self, on_progress: OnProgress) -> dict[str, float]:
         c, model, count = self.config, self._model(), len(self.validations)
-        tasks = (
-            (c, model, min(_AT_A_TIME, c.flights - first), (c.seed, count, first))
-            for first in range(0, c.flights, _AT_A_TIME)
-        )
         lessons = []
+        tasks = ((c, model, flights, (c.seed, count, first)) for first, flights in self._batches())
         for each in _parallel(lesson, tasks):
             lessons.append(each)
             self.steps += len(each.labels.turn)
@@ -84,6 +79,18 @@ class ExpertRun(PolicyRun[ExpertConfig]):
         self._remember(Labels.joined([each.labels for each in lessons]))
         seen, found = (sum(getattr(each, name) for each in lessons) for name in ("seen", "found"))
         return {"search_brings": found / seen - 1.0, "loss": self._imitate()}
+
+    def _batches(self) -> Iterator[tuple[int, tuple[int, int]]]:
+        """Yield the first flight of each batch of a round, and how many are of either kind.
+
+        Those of the paper's setup are spread evenly, so that their share is right in all batches
+        together.
+        """
+        flights, share = self.config.flights, self.config.worlds.paper_share
+        for first in range(0, flights, _AT_A_TIME):
+            end = min(first + _AT_A_TIME, flights)
+            paper = round(share * end) - round(share * first)
+            yield first, (paper, end - first - paper)
 
     def _remember(self, fresh: Labels) -> None:
         """Add the labels of a round; forget the oldest rounds beyond what is to be remembered."""
