@@ -99,6 +99,8 @@ def test_it_ends_when_interrupted(start):
         (("--loss", "2"), "loss"),
         (("--connection", "nonsense"), "connection"),
         (("--key-file", "/nonexistent"), "key_file"),
+        (("--storage", "/nonexistent/lists.json"), "--storage"),
+        (("--storage", "/"), "--storage"),
     ],
 )
 def test_mistakes_are_told_in_one_line(options, words, capsys):
@@ -248,6 +250,21 @@ def test_missions_survive_a_restart(start, tmp_path):
         assert len(client.download()) == len(wanted.items)
         fence = client.download(MissionKind.FENCE)
         assert PX4.differences(MissionKind.FENCE, wanted.fence, fence) == ()
+
+
+def test_a_mission_that_cannot_be_stored_is_not_acknowledged(start, tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    process = start("--storage", str(folder / "lists.json"))
+    with client_of(process, policy=RetryPolicy(max_tries=2, patience_s=1.0)) as client:
+        client.wait_heartbeat()
+        folder.rmdir()
+        assert not client.upload(MISSION).verified
+        assert process.popen.wait(10.0) == 2
+    error = process.popen.stderr.read()
+    assert "--storage" in error
+    assert "connection" not in error
+    assert error.count("\n") == 1
 
 
 def test_a_bad_link_over_real_sockets(start):

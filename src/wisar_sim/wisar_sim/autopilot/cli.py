@@ -17,7 +17,8 @@ from wisar_planner.pdm.geodesy import GeoOrigin
 from wisar_sim.autopilot.autopilot import Autopilot
 from wisar_sim.autopilot.bad_link import BadLink, LinkFaults
 from wisar_sim.autopilot.profile import PROFILES
-from wisar_sim.autopilot.server import Server, load_lists
+from wisar_sim.autopilot.server import Server
+from wisar_sim.autopilot.storage import load_lists
 
 _FAULTS = ("loss", "duplication", "reordering", "corruption", "delay_s", "jitter_s")
 
@@ -97,8 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 after SIGINT or SIGTERM, 2 after a mistake in the arguments or a connection
-        that cannot be opened or was lost.
+        Exit status: 0 after SIGINT or SIGTERM, 2 after a mistake in the arguments, a connection
+        that cannot be opened or was lost, or missions that cannot be stored.
     """
     args = _parser().parse_args(argv)
     stopped = False
@@ -145,6 +146,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             down=down,
             storage=args.storage,
         ).run(lambda: stopped)
+    except InvalidInput as error:
+        print(f"sim_autopilot: {error}", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"sim_autopilot: connection lost: {error}", file=sys.stderr)
         return 2

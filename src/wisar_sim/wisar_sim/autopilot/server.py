@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import select
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 from wisar_planner.mavlink.codec import Codec, Message, StreamDecoder
 from wisar_planner.mavlink.transport import Peer, Transport
 from wisar_sim.autopilot.autopilot import Autopilot
 from wisar_sim.autopilot.bad_link import BadLink
-from wisar_sim.autopilot.mission_server import StoredItem
+from wisar_sim.autopilot.storage import save_lists
 
 _TICK_S = 0.02
-
-
-def save_lists(path: Path, autopilot: Autopilot) -> None:
-    """Write mission, fence and rally points to a file."""
-    lists = {
-        str(kind): [asdict(item) for item in items]
-        for kind, items in autopilot.missions.lists.items()
-    }
-    path.write_text(json.dumps(lists), encoding="utf-8")
-
-
-def load_lists(path: Path, autopilot: Autopilot) -> None:
-    """Read what `save_lists` wrote; a missing file leaves the lists empty."""
-    if not path.exists():
-        return
-    for kind, rows in json.loads(path.read_text(encoding="utf-8")).items():
-        items = tuple(StoredItem(**{**row, "params": tuple(row["params"])}) for row in rows)
-        autopilot.missions.lists[int(kind)] = items
-    autopilot.vehicle.load(autopilot.missions.flight_items)
 
 
 class Server:
@@ -75,7 +54,15 @@ class Server:
         self._last_peer: Peer = None
 
     def run(self, should_stop: Callable[[], bool]) -> None:
-        """Serve until `should_stop` says so. Raises OSError when the connection is lost."""
+        """Serve until `should_stop` says so.
+
+        Raises
+        ------
+        InvalidInput
+            When the lists cannot be stored.
+        OSError
+            When the connection is lost.
+        """
         next_tick = 0.0
         while not should_stop():
             now = time.monotonic()
@@ -92,9 +79,9 @@ class Server:
                     self._up.put(data, now)
             for data in self._up.take(now):
                 self._receive(data, now)
+            self._save()  # before a client hears that its mission was accepted
             for frame in self._down.take(now):
                 self._transport.write(frame)
-            self._save()
 
     def _receive(self, data: bytes, now: float) -> None:
         if self._transport.is_stream:
