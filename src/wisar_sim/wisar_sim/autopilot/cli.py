@@ -22,6 +22,13 @@ from wisar_sim.autopilot.storage import load_lists
 
 _FAULTS = ("loss", "duplication", "reordering", "corruption", "delay_s", "jitter_s")
 
+_MOST_ALTITUDE = 2_000_000.0
+"""Metres of the home above the sea: GLOBAL_POSITION_INT holds 2,147 km, the flight included."""
+_MOST_WIND = 300.0
+"""Metres per second: GLOBAL_POSITION_INT holds velocities up to 327 m/s, the vehicle's included."""
+_MOST_SPEED_UP = 1000.0
+"""Simulated seconds per second: more is not computed in time to answer, or to end when told to."""
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
@@ -42,10 +49,20 @@ def _parser() -> argparse.ArgumentParser:
         default="57.0,-4.0,0",
         help="LATITUDE,LONGITUDE[,ALTITUDE_M]; --home=-33.9,151.2 where it begins with -",
     )
-    parser.add_argument("--system", type=int, default=1, help="own system id")
-    parser.add_argument("--component", type=int, default=int(mav.MAV_COMP_ID_AUTOPILOT1))
+    parser.add_argument("--system", type=int, default=1, help="own system id, 1 to 255")
+    parser.add_argument(
+        "--component",
+        type=int,
+        default=int(mav.MAV_COMP_ID_AUTOPILOT1),
+        help="own component id, 1 to 255",
+    )
     parser.add_argument("--wind", default="0,0", help="EAST,NORTH component in m/s")
-    parser.add_argument("--speed-up", type=float, default=1.0, help="simulated seconds per second")
+    parser.add_argument(
+        "--speed-up",
+        type=float,
+        default=1.0,
+        help=f"simulated seconds per second, at most {_MOST_SPEED_UP:g}",
+    )
     parser.add_argument("--key-file", type=Path, help="sign, and refuse what is not signed")
     parser.add_argument("--storage", type=Path, help="file in which missions survive a restart")
     parser.add_argument("--seed", type=int, default=0, help="of the faults of the link")
@@ -69,6 +86,37 @@ def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]
     if len(numbers) not in counts:
         raise InvalidInput(f"--{name}: {text!r} must be {counts[-1]} numbers with commas between")
     return numbers
+
+
+def _home(text: str) -> GeoOrigin:
+    home = GeoOrigin(*_numbers("home", text, (2, 3)))
+    _check_range("home", "altitude in metres", home.altitude, -_MOST_ALTITUDE, _MOST_ALTITUDE)
+    return home
+
+
+def _wind(text: str) -> tuple[float, float]:
+    east, north = _numbers("wind", text, (2,))
+    for name, speed in (("east", east), ("north", north)):
+        _check_range("wind", f"{name} component in m/s", speed, -_MOST_WIND, _MOST_WIND)
+    return east, north
+
+
+def _check_numbers(args: argparse.Namespace) -> None:
+    _check_range("system", "id", args.system, 1, 255)
+    _check_range("component", "id", args.component, 1, 255)
+    if args.seed < 0:
+        raise InvalidInput(f"--seed: must be 0 or more, got {args.seed}")
+    if not 0.0 < args.speed_up <= _MOST_SPEED_UP:
+        raise InvalidInput(
+            f"--speed-up: must be above 0 and at most {_MOST_SPEED_UP:g}, got {args.speed_up}"
+        )
+
+
+def _check_range(option: str, meaning: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:  # so written, NaN is refused too
+        raise InvalidInput(
+            f"--{option}: the {meaning} must be from {least:.0f} to {most:.0f}, got {value}"
+        )
 
 
 def _faults(args: argparse.Namespace, way: str) -> LinkFaults:
@@ -109,16 +157,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         stopped = True
 
     try:
-        home = GeoOrigin(*_numbers("home", args.home, (2, 3)))
-        east, north = _numbers("wind", args.wind, (2,))
-        if not args.speed_up > 0.0:
-            raise InvalidInput(f"--speed-up must be positive, got {args.speed_up}")
+        home, wind = _home(args.home), _wind(args.wind)
+        _check_numbers(args)
         autopilot = Autopilot(
             PROFILES[args.profile],
             home,
             system=args.system,
             component=args.component,
-            wind=(east, north),
+            wind=wind,
             speed_up=args.speed_up,
         )
         key = None if args.key_file is None else read_key_file(args.key_file)
