@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,7 +23,7 @@ from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from demo_report import write_report
+from demo_report import FILES, write_report
 from wisar_planner.errors import InvalidInput
 from wisar_planner.pdm.gis import load_map
 from wisar_sim.nodes.operator import Operator
@@ -41,6 +40,8 @@ from wisar_sim.processes import (
 ROOT = Path(__file__).resolve().parent.parent
 FLIGHT_SECONDS = 12.0
 """How long the simulated flight takes on the screen, whatever its real duration."""
+NODES = ("sim_autopilot", "pdm_server", "planner", "mavlink_bridge", "sim_drone")
+"""What the demo starts; each leaves a log."""
 PATIENCE = 180.0
 """Seconds after which the demo gives up."""
 
@@ -73,9 +74,13 @@ class DemoError(Exception):
 
 @dataclass(frozen=True)
 class Settings:
-    """What the demo was asked to do; lengths in metres, speed in m/s."""
+    """What the demo was asked to do; lengths in metres, speed in m/s.
+
+    `map` is the user's own, and only read, unless the demo `makes_map`.
+    """
 
     map: Path
+    makes_map: bool
     out: Path
     planner: str
     budget: float
@@ -87,7 +92,7 @@ class Settings:
 
 
 def parse(arguments: list[str] | None) -> Settings:
-    """Read the command line."""
+    """Read the command line. Raises InvalidInput for what cannot be right."""
     parser = argparse.ArgumentParser(
         prog="make demo",
         description=__doc__.splitlines()[0],
@@ -107,8 +112,11 @@ def parse(arguments: list[str] | None) -> Settings:
     )
     given = parser.parse_args(arguments)
     out = given.out.resolve()
+    if given.map:
+        check_kept(given.map, out)
     return Settings(
         map=given.map.resolve() if given.map else out / "map.tif",
+        makes_map=given.map is None,
         out=out,
         planner=given.planner,
         budget=given.budget,
@@ -120,19 +128,31 @@ def parse(arguments: list[str] | None) -> Settings:
     )
 
 
+def check_kept(path: Path, out: Path) -> None:
+    """Raise InvalidInput when a map is one of the files that the demo writes into `out`."""
+    if path.resolve() in [(out / file).resolve() for file in FILES.values()]:
+        raise InvalidInput(
+            f"--map: the demo would overwrite {path}; name another folder with --out"
+        )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the demo; return the exit status."""
-    settings = parse(arguments)
+    try:
+        settings = parse(arguments)
+    except InvalidInput as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2
     interrupt = Interrupt()
     console = Console()
-    make_map = settings.map == settings.out / "map.tif"
-    shutil.rmtree(settings.out / "logs", ignore_errors=True)
+    for node in NODES:  # of the last run; what else lies there is not the demo's
+        (settings.out / "logs" / f"{node}.log").unlink(missing_ok=True)
     settings.out.mkdir(parents=True, exist_ok=True)
     # Two demos at once on one machine must not hear each other.
     domain = RosDomain()
     os.environ.update({"ROS_DOMAIN_ID": str(domain.number), **WITHOUT_SHARED_MEMORY})
     try:
-        if make_map:
+        if settings.makes_map:
             script = ROOT / "scripts" / "make_demo_map.py"
             subprocess.run([sys.executable, script, "--out", settings.map], check=True)
         run(settings, console, interrupt)

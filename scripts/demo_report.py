@@ -14,6 +14,14 @@ from wisar_planner.pdm.gis import LoadedMap
 from wisar_planner.search import SearchProblem
 from wisar_sim.nodes.operator import Operator
 
+FILES = {
+    "Picture": "picture.png",
+    "GeoJSON": "plan.geojson",
+    "QGroundControl": "plan.plan",
+    "Numbers": "numbers.json",
+}
+"""What the demo writes into its folder, besides the logs and a map that it made."""
+
 
 def write_report(
     out: Path, loaded: LoadedMap, operator: Operator, speed: float, altitude: float
@@ -41,12 +49,7 @@ def write_report(
         swath_radius=plan.path.swath_radius,
         max_distance=plan.budget,
     )
-    files = {
-        "Picture": out / "picture.png",
-        "GeoJSON": out / "plan.geojson",
-        "QGroundControl": out / "plan.plan",
-        "Numbers": out / "numbers.json",
-    }
+    files = {name: out / file for name, file in FILES.items()}
     plan_picture(problem, {plan.path.planner: plan.path}, files["Picture"])
     mission = build_mission(
         LocalFrame(plan.origin).to_geodetic(plan.path.waypoints), altitude_m=altitude, speed=speed

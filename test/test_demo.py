@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 import json
 import os
 import signal
@@ -9,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import shapely
@@ -17,10 +20,22 @@ from matplotlib import image
 ROOT = Path(__file__).resolve().parent.parent
 DEMO = [sys.executable, str(ROOT / "scripts" / "demo.py"), "--planner", "lhc_gw_conv"]
 
+MAKE_MAP = ROOT / "scripts" / "make_demo_map.py"
+
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     return tmp_path / "out"
+
+
+@functools.cache
+def load_demo() -> ModuleType:
+    """Return the script as a module, for what it refuses before it starts anything."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        return importlib.import_module("demo")
+    finally:
+        sys.path.pop(0)
 
 
 def nodes_of(out: Path) -> dict[int, str]:
@@ -84,6 +99,41 @@ def test_it_goes_from_a_map_to_a_mission(out: Path) -> None:
     picture = image.imread(out / "picture.png")
     assert picture.shape[1] > 1000
     assert picture[..., :3].std() > 0.05  # not blank
+
+
+def test_the_files_of_the_user_are_kept(out: Path) -> None:
+    out.mkdir()
+    subprocess.run([sys.executable, MAKE_MAP, "--out", out / "map.tif", "--seed", "1"], check=True)
+    before = (out / "map.tif").read_bytes()
+    logs = out / "logs"
+    logs.mkdir()
+    (logs / "search.log").write_text("a day's work")
+    (logs / "planner.log").write_text("of the last demo\n")
+    demo = start(out, "--map", str(out / "map.tif"))
+    wait_for_node(out, "sim_drone")  # the last to be started
+    demo.send_signal(signal.SIGINT)
+    _, stderr = demo.communicate(timeout=30)
+    assert demo.returncode == 130, stderr
+    assert (out / "map.tif").read_bytes() == before
+    assert (logs / "search.log").read_text() == "a day's work"
+    assert "of the last demo" not in (logs / "planner.log").read_text()
+    # Every log that a demo writes is one that the next removes.
+    own = {f"{node}.log" for node in load_demo().NODES}
+    assert {file.name for file in logs.iterdir()} == {"search.log", *own}
+
+
+@pytest.mark.parametrize("name", ["plan.geojson", "numbers.json"])
+def test_a_map_that_would_be_overwritten_is_refused(
+    name: str, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out.mkdir()
+    path = out / name
+    path.write_text("{}")
+    assert load_demo().main(["--map", str(path), "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert f"--map: the demo would overwrite {path}" in error
+    assert error.count("\n") == 1
+    assert [file.name for file in out.iterdir()] == [name]
 
 
 def test_ctrl_c_leaves_nothing_running(out: Path) -> None:
