@@ -58,3 +58,23 @@ def test_maps_of_other_contents_from_one_file_have_other_names(server, tmp_path:
     server.set_parameters([Parameter("area_file", value=str(area))])
     names |= {name(1), name(2)}
     assert len(names) == 4
+
+
+def test_more_components_than_the_parameter_allows_are_refused(
+    server, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(pdm_server, "load_map", lambda *_, **__: pytest.fail("read in vain"))
+    most = server.describe_parameter("fit_components").integer_range[0].to_value
+    for components in (most + 1, 2**32 - 1):
+        request = LoadPdm.Request(path=str(tmp_path / "map.tif"), components=components)
+        answer = server._on_load(request, LoadPdm.Response())
+        assert not answer.success
+        assert f"components must lie between 0 and {most}, not {components}" in answer.message
+
+
+def test_the_parameter_says_how_many_components_where_a_request_does_not(server) -> None:
+    assert server._components(LoadPdm.Request()) == 0
+    server.set_parameters([Parameter("fit_components", value=3)])
+    assert server._components(LoadPdm.Request()) == 3
+    most = pdm_server.MOST_COMPONENTS
+    assert server._components(LoadPdm.Request(components=most)) == most

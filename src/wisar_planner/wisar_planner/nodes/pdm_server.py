@@ -30,6 +30,8 @@ from wisar_planner.search import SearchArea
 
 GRID_CELLS = 200
 """Cells along the longer side of `pdm_grid` unless the parameter `grid_cell` is given."""
+MOST_COMPONENTS = 64
+"""Normal distributions that a raster is fitted by at most: a fit of many takes hours."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class PdmServer(Node):
             0,
             "Normal distributions to fit to a raster; 0: chosen by the fit's criterion",
             minimum=0,
-            maximum=64,
+            maximum=MOST_COMPONENTS,
         )
         parameters.declare(
             self,
@@ -111,9 +113,7 @@ class PdmServer(Node):
                     "nothing has come on /clock yet, and use_sim_time is set: a map without a "
                     "stamp cannot be told from an older one; start the simulator first"
                 )
-            draft = self._read(
-                request.path, int(request.components) or self.get_parameter("fit_components").value
-            )
+            draft = self._read(request.path, self._components(request))
             located = self._publish(draft)
         except (InvalidInput, OSError) as error:
             self.get_logger().error(f"{error}; the published map stays")
@@ -130,6 +130,21 @@ class PdmServer(Node):
         response.success, response.map_id = True, located.map_id
         response.message = "; ".join((f"map {located.map_id}", *draft.notes))
         return response
+
+    def _components(self, request: LoadPdm.Request) -> int:
+        """Return how many components to fit to a raster: the parameter's where none are asked for.
+
+        Raises
+        ------
+        InvalidInput
+            When there are more than the parameter allows.
+        """
+        if request.components > MOST_COMPONENTS:
+            raise InvalidInput(
+                f"components must lie between 0 and {MOST_COMPONENTS}, not {request.components}; "
+                "give fewer, or 0 for the parameter fit_components"
+            )
+        return int(request.components) or int(self.get_parameter("fit_components").value)
 
     def _clock_runs(self) -> bool:
         """Return whether the time is known: simulated time is 0 until /clock tells it."""
