@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -129,6 +133,61 @@ def test_a_callback_that_fails_ends_the_node_and_says_why(
     )
     assert (done.returncode, done.stdout) == (1, "closed\n")
     assert error in done.stderr
+
+
+AT_WORK = 'print("at work", flush=True) or time.sleep(60)'
+ENDLESS = {
+    "a callback": (f"import time; self.create_timer(0.1, lambda: {AT_WORK})", "pass"),
+    "its end": (
+        "self.create_timer(0.1, lambda: print('at work', flush=True))",
+        "import time; time.sleep(60)",
+    ),
+    "a callback beside one that fails": (
+        f"""
+        import time
+        from rclpy.callback_groups import ReentrantCallbackGroup
+        group = ReentrantCallbackGroup()
+        self.long = self.create_timer(
+            0.1, lambda: self.long.cancel() or {AT_WORK}, callback_group=group
+        )
+        self.create_timer(0.5, lambda: 1 / 0, callback_group=group)""",
+        "pass",
+    ),
+}
+
+
+@contextlib.contextmanager
+def started(folder: Path, source: str) -> Iterator[subprocess.Popen[str]]:
+    """Start a node as a process that is gone afterwards."""
+    (folder / "started.py").write_text(source)
+    script = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        f"import sys; sys.path.insert(0, {str(folder)!r}); import started; sys.exit(started.main())"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=pipe, stderr=pipe, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("what", ENDLESS)
+def test_a_node_ends_in_which_something_does_not_end(tmp_path: Path, what: str) -> None:
+    early, late = ENDLESS[what]
+    fails = "fails" in what  # which ends a node as Ctrl-C does
+    with started(tmp_path, NODE.format(early=early, late=late)) as process:
+        assert process.stdout.readline() == "at work\n"
+        began = time.monotonic()
+        if not fails:
+            process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=50)
+        assert time.monotonic() - began < 10.0
+    assert process.returncode == int(fails)
+    assert "told to end, the node still had work to do after 4 s" in errors
+    assert ("ZeroDivisionError" in errors) == fails
 
 
 @pytest.mark.parametrize(

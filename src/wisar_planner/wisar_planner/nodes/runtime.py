@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import os
 import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, NoReturn, Protocol, cast
 
 import rclpy
 from rclpy.exceptions import (
@@ -35,7 +38,7 @@ _USER_MISTAKES = (
 )
 
 
-# How long callbacks at work may take to end, s.
+# How long callbacks at work, and `close`, may each take to end, s.
 _PATIENCE_S = 4.0
 
 
@@ -45,7 +48,8 @@ class Closeable(Protocol):
     def close(self) -> None:
         """Stop them; called once, while callbacks still run, so that goals of actions can end.
 
-        What callbacks use is destroyed by `destroy_node`, after they have ended.
+        It runs in a thread of its own, since what it waits for may never end. What callbacks use
+        is destroyed by `destroy_node`, after they have ended.
         """
 
 
@@ -123,7 +127,8 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     """Run a node until Ctrl-C, SIGTERM or a shutdown of the context; return the exit status.
 
     A mistake in its arguments or parameters ends it with one line on stderr and status 2. Callbacks
-    at work when it is told to end come to their end first, so that nothing is sent in halves.
+    at work when it is told to end come to their end first, so that nothing is sent in halves. Where
+    they take longer than some seconds, this is logged and the process ends without them.
 
     Parameters
     ----------
@@ -167,7 +172,9 @@ def spin(factory: Callable[[], Node], arguments: Sequence[str] | None = None) ->
     except KeyboardInterrupt:
         rclpy.try_shutdown()
         return 0
-    failure = _spin_until(node, told_to_end)
+    failure, ended = _spin_until(node, told_to_end)
+    if not ended:
+        _leave(failure)
     rclpy.try_shutdown()
     if failure is not None:
         raise failure
@@ -183,8 +190,21 @@ def _usage(factory: Callable[[], Node], program: str) -> str:
     )
 
 
-def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | None:
-    """Spin a node in a thread, end it in order when told to; return what a callback raised."""
+def _leave(failure: BaseException | None) -> NoReturn:
+    """End the process with threads at work, for which Python would wait at its exit for ever."""
+    if failure is not None:
+        traceback.print_exception(failure)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # a reader that has gone
+            stream.flush()
+    os._exit(0 if failure is None else 1)
+
+
+def _spin_until(node: Node, told_to_end: threading.Event) -> tuple[BaseException | None, bool]:
+    """Spin a node in a thread and end it in order when told to.
+
+    Return what a callback raised, and whether all that was at work has ended.
+    """
     # Threads let a node answer (parameters, cancel requests) while a callback works.
     executor = _Executor(threads=4)
     executor.add_node(node)
@@ -207,12 +227,29 @@ def _spin_until(node: Node, told_to_end: threading.Event) -> BaseException | Non
     # earnest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if hasattr(node, "close"):
-        cast(Closeable, node).close()
+    closing = threading.Thread(target=_close, args=(node, executor), name="close", daemon=True)
+    closing.start()
+    closing.join(_PATIENCE_S)
     finished = executor.finish_tasks(spinning, _PATIENCE_S)
     # The pool of threads must not end before what hands it work.
     executor.stop()
     spinning.join(_PATIENCE_S)
-    if finished and not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S):
+    ended = finished and not spinning.is_alive() and executor.shutdown(timeout_sec=_PATIENCE_S)
+    ended = ended and not closing.is_alive()
+    if ended:
         node.destroy_node()
-    return executor.failure
+    else:
+        node.get_logger().error(
+            f"told to end, the node still had work to do after {_PATIENCE_S:g} s: it ends without "
+            "finishing that"
+        )
+    return executor.failure, ended
+
+
+def _close(node: Node, executor: _Executor) -> None:
+    """Close a node that has something to close; what that raises counts as a callback's failure."""
+    try:
+        if hasattr(node, "close"):
+            cast(Closeable, node).close()
+    except BaseException as error:
+        executor.failure = executor.failure or error
