@@ -93,6 +93,7 @@ def test_errors_are_numbered_and_say_what_to_do(suite, mixture_file) -> None:
         ({"planner": "gredy"}, result.UNKNOWN_PLANNER, "greedy"),
         ({"budget": -5.0}, result.INVALID_REQUEST, "max_distance"),
         ({"budget": float("nan")}, result.INVALID_REQUEST, "max_distance"),
+        ({"budget": 24.0}, result.INVALID_REQUEST, "step_length: 25 m is longer than the budget"),
         ({"use_start": True, "start": [1e6, 0.0]}, result.INVALID_REQUEST, "outside"),
         ({"use_start": True, "start": [float("inf"), 0.0]}, result.INVALID_REQUEST, "finite"),
         ({"planner": "greedy", "time_budget": 1.0}, result.INVALID_REQUEST, "time budget"),
@@ -101,6 +102,18 @@ def test_errors_are_numbered_and_say_what_to_do(suite, mixture_file) -> None:
         answer = asker.ask(**goal)
         assert answer.error_code == code, (goal, answer.error_text)
         assert words in answer.error_text, (goal, answer.error_text)
+    time.sleep(0.2)
+    assert suite.operator.plan == good
+
+
+def test_a_budget_below_one_step_leaves_the_last_good_plan(suite, mixture_file) -> None:
+    suite.start_map(mixture_file)
+    suite.start_planner()
+    suite.wait_for_plan()
+    good = suite.operator.plan
+    assert suite.set_parameter("max_distance", 24.0).successful
+    refusal = "the last good plan stays: step_length: 25 m is longer than the max_distance of 24 m"
+    suite.wait(lambda: refusal in suite.log("planner"), "the planner's refusal")
     time.sleep(0.2)
     assert suite.operator.plan == good
 

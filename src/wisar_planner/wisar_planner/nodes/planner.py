@@ -395,7 +395,13 @@ class PlannerNode(Node):
         budget: float = 0.0,
         start: tuple[float, ...] | None = None,
     ) -> SearchProblem:
-        """Build the problem of the parameters, with a goal's values where it has them."""
+        """Build the problem of the parameters, with a goal's values where it has them.
+
+        Raises
+        ------
+        InvalidInput
+            When a value cannot be planned with, or the budget is below one step.
+        """
         chosen = start or parameters.point(self, "start")
         if chosen is None:
             # The centre of an area with a hole may lie in the hole.
@@ -403,7 +409,7 @@ class PlannerNode(Node):
             centre = polygon.centroid
             inside = centre if polygon.covers(centre) else polygon.representative_point()
             chosen = (inside.x, inside.y)
-        return SearchProblem(
+        problem = SearchProblem(
             pdm=located.pdm,
             area=located.area,
             start=np.array(chosen),
@@ -411,6 +417,14 @@ class PlannerNode(Node):
             swath_radius=self.get_parameter("swath_radius").value,
             max_distance=budget if budget != 0.0 else self.get_parameter("max_distance").value,
         )
+        if problem.steps < 1:
+            name = "budget" if budget != 0.0 else "max_distance"
+            raise InvalidInput(
+                f"step_length: {problem.step_length:g} m is longer than the {name} of "
+                f"{problem.max_distance:g} m, so that not one step can be flown; give a shorter "
+                f"step_length or a larger {name}"
+            )
+        return problem
 
     def _order(
         self,
