@@ -133,6 +133,30 @@ def test_the_occupancy_grid_has_its_peak_where_the_map_has() -> None:
     assert cells[-1, 0] == -1  # the corner outside the triangle
 
 
+def test_a_hole_over_the_peak_leaves_a_grid_that_shows_the_rest() -> None:
+    mixture = GaussianMixture([1.0], [[0.0, 0.0]], [[[100.0, 0.0], [0.0, 100.0]]])
+    around = shapely.box(-100, -100, 100, 100)
+    area = SearchArea.from_polygon(around.difference(shapely.box(-40, -40, 40, 40)))
+    grid = conversions.grid_to_msg(mixture, area, 5.0, conversions.header(0, "map"))
+    cells = np.array(grid.data).reshape(grid.info.height, grid.info.width)
+    hole = np.zeros(cells.shape, dtype=bool)
+    hole[12:28, 12:28] = True
+    assert (cells[hole] == -1).all()
+    assert (cells[~hole].min(), cells[~hole].max()) == (0, 100)
+    row, column = np.unravel_index(cells.argmax(), cells.shape)
+    assert {int(row), int(column)} & {11, 28}  # beside the hole
+
+
+@pytest.mark.parametrize("inside", [0.0, 5e-324, 1e-300])
+def test_a_grid_takes_what_is_next_to_nothing(inside: float) -> None:
+    values = np.full((4, 4), inside)
+    values[:, 0] = 0.25
+    raster = RasterMap(values, Grid(0.0, 0.0, 10.0, 4, 4))
+    area = SearchArea.rectangle(10, 0, 40, 40)
+    grid = conversions.grid_to_msg(raster, area, 10.0, conversions.header(0, "map"))
+    assert set(grid.data) == {100 if inside else 0}
+
+
 def test_a_raster_map_becomes_a_grid_too() -> None:
     raster = RasterMap(np.full((4, 4), 1 / 16), Grid(0.0, 0.0, 10.0, 4, 4))
     area = SearchArea.rectangle(0, 0, 40, 40)

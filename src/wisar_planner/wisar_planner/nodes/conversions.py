@@ -357,7 +357,7 @@ def pose(point: FloatArray, heading: float, message_header: Header) -> PoseStamp
 def grid_to_msg(
     pdm: ProbabilityMap, area: SearchArea, cell: float, message_header: Header
 ) -> OccupancyGrid:
-    """Return the map as an OccupancyGrid: 100 at its most probable cell, -1 outside the area.
+    """Return the map as an OccupancyGrid: 100 at the area's most probable cell, -1 outside it.
 
     Parameters
     ----------
@@ -388,10 +388,12 @@ def grid_to_msg(
         )
     grid = Grid.covering(area.bounds, cell)
     probability = pdm.rasterize(grid)
-    peak = float(probability.max())
-    scaled = np.rint(probability * (100.0 / peak if peak > 0.0 else 0.0)).astype(np.int8)
     centres = grid.centres()
     inside = shapely.contains_xy(area.polygon, centres[..., 0], centres[..., 1])
+    # What is to be searched shows its own peak: the map's may lie in a hole.
+    peak = float(probability.max(where=inside, initial=0.0))
+    share = np.clip(probability, 0.0, peak) / (peak if peak > 0.0 else 1.0)
+    scaled = np.rint(100.0 * share).astype(np.int8)
     message = OccupancyGrid(header=message_header)
     message.info.map_load_time = message_header.stamp
     message.info.resolution = float(grid.cell)
