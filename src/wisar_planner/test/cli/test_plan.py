@@ -82,6 +82,20 @@ def test_a_plan_file_is_written_for_each_out(mixture_file, tmp_path, capsys, suf
     assert all(str(file) in out for file in files)
 
 
+def test_the_summary_names_files_as_they_are_called(mixture_file, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = ["map[red]:boom:[/].yaml", "plan[bold].kml", "glen[/red] :boom: [b].plan", "[i].png"]
+    Path(names[0]).parent.mkdir()
+    mixture_file.rename(names[0])
+    outs = ["--out", names[1], "--out", names[2], "--picture", names[3]]
+    assert main(["plan", names[0], *DRONE, "--planner", "sector", *outs]) == 0
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == f"sector on {names[0]}"
+    written = [line.removeprefix("wrote").strip() for line in lines if line.startswith("wrote")]
+    assert written == names[1:]
+    assert all(Path(name).is_file() for name in names)
+
+
 @pytest.fixture
 def no_planning(monkeypatch):
     """What is refused must be so before the planning."""

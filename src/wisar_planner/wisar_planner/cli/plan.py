@@ -359,6 +359,7 @@ def _print_summary(
 ) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     efficiency, bound = scores
     minutes = path.length / args.speed / 60.0
@@ -373,13 +374,14 @@ def _print_summary(
         *(("wrote", str(file)) for file in files),
         *(("note", note) for note in notes),
     ]
+    # As Text, in which the brackets and colons of a file's name are no markup.
     table = Table(
-        box=None, show_header=False, pad_edge=False, title_justify="left", title_style="bold",
-        title=f"{args.planner} on {args.map}",
+        box=None, show_header=False, pad_edge=False, title_justify="left",
+        title=Text(f"{args.planner} on {args.map}", style="bold"),
     )  # fmt: skip
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
     for name, text in rows:
-        table.add_row(name, text)
+        table.add_row(name, Text(text))
     console = Console() if sys.stdout.isatty() else Console(width=120)
     console.print(table, highlight=False)
