@@ -453,6 +453,39 @@ def test_a_yaml_mixture_in_local_metres(tmp_path):
         load_map(path, origin=GeoOrigin(0.0, 0.0))
 
 
+def test_numbers_as_people_write_them_are_read_from_yaml(tmp_path):
+    path = tmp_path / "map.yaml"
+    path.write_text(
+        """
+        origin: {latitude: 5678e-2, longitude: -4.98E+0, altitude: 1e4}
+        weights: [2.5e-1, .5, +2.5E-1]
+        means: [[4e1, 6.e1], [-.5, -1E+3], [+110, 0.9e2]]
+        covariances: [[[5e2, 0], [0, 5E2]], [[9e+02, 2e2], [2e2, .4e3]], [[5.0e+2, 0], [0, 500]]]
+        area: {polygon: [[-2E+3, -2e3], [1.5e3, -2e3], [1.5e3, 1.5e3]]}
+        """
+    )
+    loaded = load_map(path)
+    assert loaded.origin == GeoOrigin(56.78, -4.98, 10_000.0)
+    np.testing.assert_array_equal(loaded.pdm.weights, [0.25, 0.5, 0.25])
+    np.testing.assert_array_equal(loaded.pdm.means, [[40, 60], [-0.5, -1000], [110, 90]])
+    np.testing.assert_array_equal(
+        loaded.pdm.covariances,
+        [[[500, 0], [0, 500]], [[900, 200], [200, 400]], [[500, 0], [0, 500]]],
+    )
+    corners = [[-2000, -2000], [1500, -2000], [1500, 1500]]
+    assert loaded.area.equals(shapely.Polygon(corners))
+
+
+@pytest.mark.parametrize(
+    "word", ["many", "e4", "1e", "1e4m", "'1e4'", "1e4.5", "-e4", ".", "1e400"]
+)
+def test_a_word_is_no_number_in_yaml(tmp_path, word):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(yaml.safe_dump(YAML).replace("latitude: 56.78", f"latitude: {word}"))
+    with pytest.raises(InvalidInput, match=r"wrong\.yaml: origin\.latitude is .*; give a finite"):
+        load_map(path)
+
+
 ENDLESS = []
 ENDLESS.append(ENDLESS)
 

@@ -13,6 +13,7 @@ an area, a rectangle of three standard deviations around the components is taken
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,20 @@ from wisar_planner.pdm.mixture_fields import (
 _FIELDS = ("origin", "weights", "means", "covariances", "area")
 
 
+class _Loader(yaml.SafeLoader):
+    """Reads as numbers what YAML 1.2 takes for floats.
+
+    PyYAML follows YAML 1.1, to which 1e4 and -.5 are words: it wants 1.0e+4 and -0.5.
+    """
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:(?:\.[0-9]+|[0-9]+\.[0-9]*)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+)\Z"),
+    list("-+.0123456789"),
+)
+
+
 def load_yaml_mixture(path: Path) -> LoadedMap:
     """Read a mixture from YAML.
 
@@ -53,7 +68,7 @@ def load_yaml_mixture(path: Path) -> LoadedMap:
         If it cannot be read.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise InvalidInput(f"{path}: not valid YAML ({reason})") from None
