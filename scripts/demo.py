@@ -22,9 +22,10 @@ from rich.console import Console
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from demo_report import FILES, write_report
-from wisar_planner.errors import InvalidInput
+from wisar_planner.errors import InvalidInput, positive
 from wisar_planner.pdm.gis import load_map
 from wisar_sim.nodes.operator import Operator
 from wisar_sim.processes import (
@@ -114,16 +115,19 @@ def parse(arguments: list[str] | None) -> Settings:
     out = given.out.resolve()
     if given.map:
         check_kept(given.map, out)
+    budget, step = positive(given.budget, "--budget"), positive(given.step, "--step")
+    if budget < step:
+        raise InvalidInput(f"--budget must be at least a --step ({step:g} m), not {budget:g}")
     return Settings(
         map=given.map.resolve() if given.map else out / "map.tif",
         makes_map=given.map is None,
         out=out,
         planner=given.planner,
-        budget=given.budget,
-        swath_radius=given.swath_radius,
-        step=given.step,
-        speed=given.speed,
-        altitude=given.altitude,
+        budget=budget,
+        swath_radius=positive(given.swath_radius, "--swath-radius"),
+        step=step,
+        speed=positive(given.speed, "--speed"),
+        altitude=positive(given.altitude, "--altitude"),
         autopilot=given.autopilot,
     )
 
@@ -145,26 +149,56 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     interrupt = Interrupt()
     console = Console()
-    for node in NODES:  # of the last run; what else lies there is not the demo's
-        (settings.out / "logs" / f"{node}.log").unlink(missing_ok=True)
-    settings.out.mkdir(parents=True, exist_ok=True)
     # Two demos at once on one machine must not hear each other.
     domain = RosDomain()
     os.environ.update({"ROS_DOMAIN_ID": str(domain.number), **WITHOUT_SHARED_MEMORY})
     try:
+        prepare_logs(settings.out / "logs")
         if settings.makes_map:
-            script = ROOT / "scripts" / "make_demo_map.py"
-            subprocess.run([sys.executable, script, "--out", settings.map], check=True)
+            make_map(settings.map, interrupt)
         run(settings, console, interrupt)
     except KeyboardInterrupt:
         console.print("stopped; nothing is left running")
         return 130
-    except (DemoError, ProcessDied, InvalidInput, OSError) as error:
+    except (InvalidInput, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except (DemoError, ProcessDied) as error:
         print(f"demo: {error}\nThe nodes' logs are in {settings.out / 'logs'}", file=sys.stderr)
         return 1
     finally:
         domain.close()
     return 0
+
+
+def prepare_logs(folder: Path) -> None:
+    """Make the folder of the logs, and with it that of the results, without logs of the last run.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing can be written there.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for node in NODES:  # what else lies there is not the demo's
+            (folder / f"{node}.log").unlink(missing_ok=True)
+    except OSError as error:
+        raise InvalidInput(
+            f"--out: cannot write into {folder} ({error.strerror}); name another folder"
+        ) from None
+
+
+def make_map(path: Path, interrupt: Interrupt) -> None:
+    """Write the demo's own map. Raises InvalidInput with the reason when that fails."""
+    script = ROOT / "scripts" / "make_demo_map.py"
+    made = subprocess.run(
+        [sys.executable, script, "--out", path], stderr=subprocess.PIPE, text=True, check=False
+    )
+    interrupt.check()  # Ctrl-C ends the script too, and then is the reason
+    if made.returncode != 0:
+        *_, reason = made.stderr.splitlines() or [f"status {made.returncode}"]
+        raise InvalidInput(f"cannot make the map {path} ({reason}); give one with --map")
 
 
 def run(settings: Settings, console: Console, interrupt: Interrupt) -> None:
@@ -313,34 +347,36 @@ def last_screen(summary: dict[str, Any]) -> Panel:
     table.add_column(style="bold")
     table.add_column()
     plan, flight, mission = summary["plan"], summary["flight"], summary["mission"]
-    table.add_row(
-        "Map", f"{Path(summary['map']['file']).name}, {summary['map']['components']} components"
-    )
-    table.add_row(
+
+    def show(name: str, value: str) -> None:
+        table.add_row(name, Text(value))  # a plain string's brackets would be read as markup
+
+    show("Map", f"{Path(summary['map']['file']).name}, {summary['map']['components']} components")
+    show(
         "Plan",
         f"{plan['planner']}: e_p {plan['probability_efficiency']:.3f} "
         f"({plan['share_of_bound']:.0%} of the upper bound), "
         f"{plan['length_m'] / 1000:.2f} km, {plan['waypoints']} waypoints, "
         f"planned in {plan['planning_time_s']:.2f} s",
     )
-    table.add_row(
+    show(
         "On the map",
         f"e_p {plan['probability_efficiency_on_the_map_file']:.3f} on the cells of the map file, "
         "as in the picture; the planner knows the map by its Gaussian mixture",
     )
-    table.add_row(
+    show(
         "Flight",
         f"e_p {flight['probability_efficiency']:.3f} seen after "
         f"{flight['duration_min']:.0f} min of simulated flight",
     )
-    table.add_row(
+    show(
         "Mission",
         f"{mission['items_accepted']} items accepted by {mission['autopilot']}, "
         "read back and equal; nothing was armed or started",
     )
     for name, file in summary["files"].items():
-        table.add_row(name, os.path.relpath(file))
-    table.add_row("Took", f"{summary['elapsed_s']:.0f} s")
+        show(name, os.path.relpath(file))
+    show("Took", f"{summary['elapsed_s']:.0f} s")
     return Panel(table, title="wisar demo", expand=False)
 
 

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import functools
 import importlib
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 import shapely
 from matplotlib import image
+from rich.console import Console
 
 ROOT = Path(__file__).resolve().parent.parent
 DEMO = [sys.executable, str(ROOT / "scripts" / "demo.py"), "--planner", "lhc_gw_conv"]
@@ -134,6 +139,69 @@ def test_a_map_that_would_be_overwritten_is_refused(
     assert f"--map: the demo would overwrite {path}" in error
     assert error.count("\n") == 1
     assert [file.name for file in out.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--step", "0"), "--step"),
+        (("--step", "nan"), "--step"),
+        (("--speed", "0"), "--speed"),
+        (("--speed", "inf"), "--speed"),
+        (("--swath-radius", "-1"), "--swath-radius"),
+        (("--altitude", "0"), "--altitude"),
+        (("--budget", "inf"), "--budget"),
+        (("--budget", "49.9"), "--step"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused_before_anything_is_started(
+    options: tuple[str, str], words: str, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert load_demo().main([*options, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def blocked_folder(out: Path) -> str:
+    out.write_text("no folder")
+    return "--out"
+
+
+def blocked_map(out: Path) -> str:
+    (out / "map.tif").mkdir(parents=True)
+    return "--map"
+
+
+@pytest.mark.parametrize("block", [blocked_folder, blocked_map])
+def test_a_folder_that_cannot_be_used_is_told_in_one_line(
+    block: Callable[[Path], str], out: Path
+) -> None:
+    words = block(out)
+    demo = start(out)
+    _, stderr = demo.communicate(timeout=60)
+    assert demo.returncode == 1
+    assert words in stderr
+    assert stderr.count("\n") == 1
+    assert not list(out.glob("logs/*.log"))  # nothing was started
+
+
+def test_names_with_brackets_are_shown_as_they_are() -> None:
+    numbers: dict[str, Any] = defaultdict(float)
+    summary = {
+        "map": {"file": "/maps/glen [bold] [0].tif", "components": 3},
+        "plan": numbers | {"planner": "greedy"},
+        "flight": numbers,
+        "mission": {"items_accepted": 5, "autopilot": "PX4"},
+        "files": {"Picture": "out[/0]/picture.png"},
+        "elapsed_s": 1.0,
+    }
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(load_demo().last_screen(summary))
+    text = console.export_text()
+    assert "glen [bold] [0].tif, 3 components" in text
+    assert "out[/0]/picture.png" in text
 
 
 def test_ctrl_c_leaves_nothing_running(out: Path) -> None:
