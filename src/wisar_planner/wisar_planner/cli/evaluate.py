@@ -306,6 +306,7 @@ def _with_progress(evaluation: Evaluation, args: argparse.Namespace, store: Any)
                     f"{len(store.records)} runs are kept in {store.path}; "
                     "the same command continues from them",
                     highlight=False,
+                    markup=False,
                 )
             raise
 

@@ -107,7 +107,7 @@ def _run_all(
     from wisar_planner.evaluation.worlds_table import summarise_world
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),

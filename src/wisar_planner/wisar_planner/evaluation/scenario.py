@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import yaml
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
 from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap
 from wisar_planner.search import SearchArea, SearchProblem
+from wisar_planner.yaml_files import read_yaml
 
 #: Where a run starts: "uniform" in the area, the most probable cell ("peak"), the middle of the
 #: area's bounds ("centre"), or a point in metres.
@@ -297,11 +297,7 @@ def _start_text(rule: StartRule) -> str:
 
 def _common_parameters(path: Path) -> Mapping[str, Any]:
     """Return the parameters that a ROS 2 parameter file gives to all nodes."""
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        first_line = str(error).splitlines()[0]
-        raise InvalidInput(f"{path}: not readable as YAML ({first_line})") from None
+    content = read_yaml(path)
     section = content.get("/**") if isinstance(content, Mapping) else None
     values = section.get("ros__parameters") if isinstance(section, Mapping) else None
     if not isinstance(values, Mapping):

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.ndimage import gaussian_filter
 
 from wisar_planner.errors import InvalidInput, positive
@@ -22,6 +21,7 @@ from wisar_planner.evaluation.scenario import Drone, FixedMap, RandomMaps, Scena
 from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap, RasterMap
 from wisar_planner.search import SearchArea, SearchProblem
+from wisar_planner.yaml_files import read_yaml
 
 
 @dataclass(frozen=True)
@@ -276,11 +276,7 @@ def read_worlds(path: Path, maps: Path | None = None) -> list[World]:
     InvalidInput
         If the file is not such a file; the message names the world and the key.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        first_line = str(error).splitlines()[0]
-        raise InvalidInput(f"{path}: not readable as YAML ({first_line})") from None
+    content = read_yaml(path)
     described = content.get("worlds") if isinstance(content, Mapping) else None
     if not isinstance(described, Mapping) or not described:
         raise InvalidInput(f"{path}: has no 'worlds' mapping with a world")

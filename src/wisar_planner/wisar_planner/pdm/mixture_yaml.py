@@ -13,7 +13,6 @@ an area, a rectangle of three standard deviations around the components is taken
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -34,22 +33,9 @@ from wisar_planner.pdm.mixture_fields import (
     number,
     numbers,
 )
+from wisar_planner.yaml_files import read_yaml
 
 _FIELDS = ("origin", "weights", "means", "covariances", "area")
-
-
-class _Loader(yaml.SafeLoader):
-    """Reads as numbers what YAML 1.2 takes for floats.
-
-    PyYAML follows YAML 1.1, to which 1e4 and -.5 are words: it wants 1.0e+4 and -0.5.
-    """
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:(?:\.[0-9]+|[0-9]+\.[0-9]*)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+)\Z"),
-    list("-+.0123456789"),
-)
 
 
 def load_yaml_mixture(path: Path) -> LoadedMap:
@@ -67,12 +53,7 @@ def load_yaml_mixture(path: Path) -> LoadedMap:
     OSError
         If it cannot be read.
     """
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise InvalidInput(f"{path}: not valid YAML ({reason})") from None
-    fields = _mapping(document, _FIELDS, f"{path}:")
+    fields = _mapping(read_yaml(path), _FIELDS, f"{path}:")
     where = f"{path}: "
     origin = _origin(fields.get("origin"), f"{where}origin")
     weights = _list(fields.get("weights"), f"{where}weights")

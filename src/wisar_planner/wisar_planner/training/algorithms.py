@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import build, read_yaml
+from wisar_planner.training.config import build, read_fields
 from wisar_planner.training.expert_iteration import config as expert_iteration
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.run import ExpertRun
@@ -58,7 +58,7 @@ def read_any_config(path: Path, **overrides: Any) -> Config:
         When the file cannot be read, names an unknown algorithm or field, or a value cannot be
         right.
     """
-    return _make_config({**read_yaml(path), **overrides}, str(path))
+    return _make_config({**read_fields(path), **overrides}, str(path))
 
 
 def _make_config(content: dict[str, Any], where: str) -> Config:

@@ -8,12 +8,11 @@ import typing
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from wisar_planner.errors import InvalidInput
+from wisar_planner.yaml_files import read_yaml
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_fields(path: Path) -> dict[str, Any]:
     """Return the fields in a YAML file.
 
     Raises
@@ -21,10 +20,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     InvalidInput
         When the file is not YAML or no mapping.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} is not YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise InvalidInput(f"{path} must be a mapping of fields, see config/sac.yaml")
     return content

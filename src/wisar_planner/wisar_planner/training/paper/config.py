@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import build, check_algorithm, check_at_least, read_yaml
+from wisar_planner.training.config import build, check_algorithm, check_at_least, read_fields
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
@@ -101,7 +101,7 @@ def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:
         When the file cannot be read, is for another algorithm, names an unknown field, or a value
         cannot be right.
     """
-    content = {**read_yaml(path), **overrides}
+    content = {**read_fields(path), **overrides}
     if content.get("algorithm") != ALGORITHM:
         raise InvalidInput(f"{path} must have `algorithm: {ALGORITHM}`, see config/paper_sac.yaml")
     config: PaperConfig = build(PaperConfig, content, str(path))
