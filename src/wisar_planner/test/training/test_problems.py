@@ -42,14 +42,14 @@ def test_problems_are_their_worlds(distribution) -> None:
 
 
 def test_a_flight_is_judged_as_the_planner_is(distribution) -> None:
-    """By the exact seen probability of the same path and the exact bound."""
+    """By the exact seen probability of the same path, and the bound."""
     model = load_model(find_model("sac"))
     for problem in random_problems(1, 2, distribution, torch.Generator().manual_seed(2)):
         efficiency, share = fly_problem(problem, model)
         path = make_planner("sac").plan(problem)
         exact = path.seen_probability(problem.pdm) / problem.probability_in_area
-        assert efficiency == pytest.approx(exact, rel=0.03)
-        assert share == pytest.approx(exact / upper_bound(problem), rel=0.03)
+        assert efficiency == pytest.approx(exact, rel=1e-9)
+        assert share == pytest.approx(exact / upper_bound(problem), rel=1e-9)
         assert share <= 1.0
 
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from wisar_planner.errors import FloatArray
 from wisar_planner.policy.model import Model
 from wisar_planner.policy.observation import Observation
 from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.bound import upper_bound
+from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.ablation import make_environment
 from wisar_planner.training.worlds import WorldDistribution
@@ -75,18 +75,13 @@ def fly_maps(
 
 
 def fly_problem(problem: SearchProblem, model: Model) -> tuple[float, float]:
-    """Fly a policy once as planners do; return e_p and the share of the bound.
+    """Fly a policy once as planners do; return e_p and the share of the bound, both exact.
 
-    Here the policy is shown the problem as plans show it, see `rollout.view_scale`, and the bound
-    is `search.bound.upper_bound`; what is seen is taken from the policy's raster.
+    The policy is shown the problem as plans show it, see `rollout.view_scale`. What it sees is the
+    exact seen probability and the bound is `search.bound.upper_bound`: the raster that the policy
+    sees by takes the edges of swaths for wider than they are where lanes lie close together.
     """
-    terrain = Terrain.of(problem)
-    seen = [0.0]
-
-    def on_step(probability: FloatArray) -> bool:
-        seen[0] = float(probability[0])
-        return False
-
-    fly(problem, terrain, model, on_step=on_step)
-    efficiency = seen[0] / problem.probability_in_area
+    waypoints = fly(problem, Terrain.of(problem), model)[0]
+    path = SearchPath(waypoints, problem.swath_radius)
+    efficiency = path.probability_efficiency(problem)
     return efficiency, efficiency / upper_bound(problem)

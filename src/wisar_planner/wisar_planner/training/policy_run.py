@@ -46,8 +46,9 @@ class PolicyRun(Run[Config]):
         When the policy to begin with cannot be loaded.
     """
 
-    #: What the card says of how the policy was made.
+    #: What the card says of how the policy was made, and of how it was judged.
     algorithm: ClassVar[str]
+    judged: ClassVar[str] = "estimated on the training raster"
 
     def __init__(self, config: Config, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
@@ -118,6 +119,7 @@ class PolicyRun(Run[Config]):
             "distribution": self._distribution,
             "start": {name: start[name] for name in told if name in start},
         }
+        card["validation"]["note"] = f"{self.judged}, on maps that chose this checkpoint"
         if "other_worlds" in result.figures:
             others = round(result.figures["other_worlds"], 4)
             card["validation"]["share_of_bound_other_worlds"] = others

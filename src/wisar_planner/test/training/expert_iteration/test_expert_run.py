@@ -64,6 +64,7 @@ def test_the_best_policy_is_kept_with_a_card_that_tells_where_it_began(tmp_path,
     card = load_model(tmp_path / "tiny.safetensors").card
     start = load_model(find_model("sac")).card
     assert card["algorithm"].startswith("expert iteration")
+    assert card["validation"]["note"].startswith("by the exact seen probability")
     assert card["start"]["weights_sha256"] == start["weights_sha256"]
     assert card["validation"]["share_of_bound"] == pytest.approx(run.best_share, abs=1e-4)
     assert "share_of_bound_other_worlds" in card["validation"]

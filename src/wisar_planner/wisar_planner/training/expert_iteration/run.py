@@ -36,6 +36,7 @@ class ExpertRun(PolicyRun[ExpertConfig]):
     """
 
     algorithm = "expert iteration"
+    judged = "by the exact seen probability"
 
     def __init__(self, config: ExpertConfig, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
