@@ -30,16 +30,17 @@ def test_is_at_least_as_good_as_the_policy_alone(paper_problem):
 
 
 def test_more_iterations_are_better_on_average(paper_problem):
+    """On maps enough to tell: on 24, 20,000 are better than 50 by three standard errors."""
     few, many = (
         np.mean(
             [
                 make_planner("sac_search", max_iterations=n).plan(p).probability_efficiency(p)
-                for p in map(paper_problem, range(40, 43))
+                for p in map(paper_problem, range(40, 64))
             ]
         )
-        for n in (50, 4000)
+        for n in (50, 20_000)
     )
-    assert many > few
+    assert many > 1.002 * few
 
 
 def test_iterations_make_it_repeatable_and_seeds_differ(paper_problem):
