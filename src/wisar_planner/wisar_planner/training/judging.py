@@ -78,8 +78,8 @@ def fly_problem(problem: SearchProblem, model: Model) -> tuple[float, float]:
     """Fly a policy once as planners do; return e_p and the share of the bound, both exact.
 
     The policy is shown the problem as plans show it, see `rollout.view_scale`. What it sees is the
-    exact seen probability and the bound is `search.bound.upper_bound`: the raster that the policy
-    sees by takes the edges of swaths for wider than they are where lanes lie close together.
+    exact seen probability and the bound is `search.bound.upper_bound`: the policy's own raster
+    tells up to a hundredth less, see docs/policy.md.
     """
     waypoints = fly(problem, Terrain.of(problem), model)[0]
     path = SearchPath(waypoints, problem.swath_radius)
