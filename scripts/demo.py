@@ -119,7 +119,7 @@ def parse(arguments: list[str] | None) -> Settings:
     if budget < step:
         raise InvalidInput(f"--budget must be at least a --step ({step:g} m), not {budget:g}")
     return Settings(
-        map=given.map.resolve() if given.map else out / "map.tif",
+        map=given.map.resolve() if given.map else out / "demo_map.tif",
         makes_map=given.map is None,
         out=out,
         planner=given.planner,

@@ -110,6 +110,8 @@ def test_the_files_of_the_user_are_kept(out: Path) -> None:
     out.mkdir()
     subprocess.run([sys.executable, MAKE_MAP, "--out", out / "map.tif", "--seed", "1"], check=True)
     before = (out / "map.tif").read_bytes()
+    # A demo without --map makes one of another name.
+    assert load_demo().parse(["--out", str(out)]).map not in out.iterdir()
     logs = out / "logs"
     logs.mkdir()
     (logs / "search.log").write_text("a day's work")
@@ -170,7 +172,7 @@ def blocked_folder(out: Path) -> str:
 
 
 def blocked_map(out: Path) -> str:
-    (out / "map.tif").mkdir(parents=True)
+    (out / "demo_map.tif").mkdir(parents=True)
     return "--map"
 
 

@@ -1,6 +1,7 @@
 """Flights of a policy."""
 
 import numpy as np
+import pytest
 
 from wisar_planner import SearchPath, SearchProblem
 from wisar_planner.policy.model import DEFAULT_MODEL, find_model, load_model
@@ -19,3 +20,23 @@ def test_flights_stay_in_the_area_and_see_what_they_say():
     assert problem.area.contains(paths.reshape(-1, 2)).all()
     exact = [SearchPath(path, problem.swath_radius).seen_probability(problem.pdm) for path in paths]
     np.testing.assert_allclose(told[-1], exact, rtol=0.02)
+
+
+@pytest.mark.parametrize("flown", [0, 1, 30, 64])
+def test_a_flight_goes_on_as_if_it_had_not_been_cut(flown):
+    problem = SearchProblem.paper(np.random.default_rng(5))
+    terrain, model = Terrain.of(problem), load_model(find_model(DEFAULT_MODEL))
+    seen = []
+
+    def told(now):
+        seen.append(now.copy())
+        return False
+
+    whole = fly(problem, terrain, model, on_step=told)[0]
+    ending = seen[-1][0]
+    on = fly(problem, terrain, model, flown=whole[: flown + 1], count=3, on_step=told)
+    assert on.shape == (3, problem.steps + 1, 2)
+    for each in on:
+        np.testing.assert_allclose(each, whole, atol=1e-6)
+    np.testing.assert_array_equal(on[:, : flown + 1], np.repeat(whole[None, : flown + 1], 3, 0))
+    np.testing.assert_allclose(seen[-1], ending, rtol=1e-6)

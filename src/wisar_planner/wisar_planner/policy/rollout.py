@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -155,6 +156,7 @@ def fly(
     terrain: Terrain,
     model: Model,
     *,
+    flown: FloatArray | None = None,
     count: int = 1,
     rng: np.random.Generator | None = None,
     on_step: Callable[[FloatArray], bool] | None = None,
@@ -169,6 +171,9 @@ def fly(
         Its map.
     model : Model
         The policy.
+    flown : (K + 1, 2) float64, optional
+        The waypoints of the first K steps, in metres, from where all searches go on; the start
+        alone unless given.
     count : int
         Number of searches.
     rng : numpy.random.Generator, optional
@@ -183,22 +188,30 @@ def fly(
         The paths in metres; shorter than the budget where a search found no whole step that stays
         in the area, or was stopped.
     """
+    if flown is None:
+        flown = problem.start[None]
+    # A path of one search, in cells, as paths of all.
+    cells = list(np.repeat(terrain.to_cells(flown)[:, None], count, axis=1))
     unseen = terrain.unseen(count)
-    position = np.repeat(terrain.to_cells(problem.start)[None], count, axis=0)
-    start = position.astype(np.float32)
-    seen = unseen.see(start, start).astype(np.float64)
+    before = [each.astype(np.float32) for each in cells]
+    seen = unseen.see(before[0], before[0]).astype(np.float64)
+    for start, end in itertools.pairwise(before):
+        seen += unseen.see(start, end)
+    heading = terrain.heading
+    if len(flown) > 1:
+        heading = math.atan2(*(flown[-1] - flown[-2])[::-1])
+    position = cells[-1].copy()
     fixed = constants(np, "cpu")
     flights = Flights(
         unseen.levels_in_memory(), unseen.before, unseen.step, unseen.radius, unseen.window,
-        fixed.distances, fixed.swath, position, np.full(count, terrain.heading), seen,
+        fixed.distances, fixed.swath, position, np.full(count, heading), seen,
     )  # fmt: skip
     unit = terrain.unit / (2.0 * terrain.radius * terrain.step)
     quiet = np.zeros((count, DIRECTIONS), dtype=np.float32)
-    cells = [position.copy()]
-    for flown in range(problem.steps):
+    for steps in range(len(flown) - 1, problem.steps):
         possible = fly_step(
             flights, model.ring_weights, model.distribution == GAUSSIAN, terrain.area,
-            terrain.step, (problem.steps - flown) / terrain.scale,
+            terrain.step, (problem.steps - steps) / terrain.scale,
             quiet if rng is None else model.noise(rng, count),
         )  # fmt: skip
         if not possible:
@@ -208,5 +221,5 @@ def fly(
             break
     origin = np.array([terrain.grid.x0, terrain.grid.y0])
     waypoints = origin + terrain.grid.cell * np.stack(cells, axis=1)
-    waypoints[:, 0] = problem.start
+    waypoints[:, : len(flown)] = flown
     return waypoints

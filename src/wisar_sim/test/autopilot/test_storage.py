@@ -102,6 +102,7 @@ def test_a_save_that_fails_leaves_the_old_file_and_names_the_option(tmp_path, mo
     with pytest.raises(InvalidInput, match=r"--storage: cannot write .*No space left"):
         save_lists(path, autopilot(ITEM, ITEM))
     assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_link_stays_a_link(tmp_path):

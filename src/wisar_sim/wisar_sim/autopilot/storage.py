@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import tempfile
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ def save_lists(path: Path, autopilot: Autopilot) -> None:
         new.write_text(json.dumps(lists), encoding="utf-8")
         new.replace(file)
     except OSError as error:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
         raise InvalidInput(
             f"--storage: cannot write {path}: {error.strerror}; make room or name another file"
         ) from None

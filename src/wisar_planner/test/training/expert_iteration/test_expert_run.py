@@ -53,7 +53,8 @@ def test_the_latest_rounds_are_remembered(tmp_path, trained) -> None:
 
 def test_what_search_does_becomes_likelier(trained) -> None:
     """The loss on the same labels falls."""
-    run = ExpertRun(dataclasses.replace(TINY, rounds=1, flights=8, updates=30), None, CPU)
+    config = dataclasses.replace(TINY, rounds=1, flights=8, updates=60, batch=64, rate=1e-3)
+    run = ExpertRun(config, None, CPU)
     list(run.train())
     run.updates = 0
     assert run._imitate() < run.validations[-1].figures["loss"]

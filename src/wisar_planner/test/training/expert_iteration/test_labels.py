@@ -12,15 +12,22 @@ from wisar_planner.policy.model import find_model, load_model
 from wisar_planner.policy.observation import Observation
 from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.area import SearchArea
+from wisar_planner.search.path import SearchPath
 from wisar_planner.training.expert_iteration.config import ExpertConfig
-from wisar_planner.training.expert_iteration.labels import Labels, _along, lesson
+from wisar_planner.training.expert_iteration.labels import (
+    Labels,
+    _along,
+    _best_try,
+    _unseen_after,
+    lesson,
+)
 from wisar_planner.training.networks import likeliest_turn
 from wisar_planner.training.worlds import WorldDistribution
 
 MIXED = WorldDistribution(
     paper_share=0.5, sides=(10.0, 20.0), radii=(0.3, 0.6), budgets=(20, 40), field_share=0.5
 )
-CONFIG = ExpertConfig(flights=8, remembered_flights=8, moves=200, worlds=MIXED)
+CONFIG = ExpertConfig(flights=8, remembered_flights=8, tries=4, moves=200, worlds=MIXED)
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +66,31 @@ def test_search_sees_more_than_the_policy(taught) -> None:
     assert taught.found > 1.01 * taught.seen > 0.0
 
 
+@pytest.mark.parametrize("flown", [0, 30])
+def test_the_best_of_some_ways_on_is_begun_with(model, flown) -> None:
+    problem = SearchProblem.paper(np.random.default_rng(7))
+    terrain = Terrain.of(problem)
+    path = fly(problem, terrain, model)[0]
+    before, rest = path[: flown + 1], path[flown:]
+    raster = _unseen_after(problem, before)
+
+    def exact(way):
+        whole = SearchPath(np.concatenate([before, way[1:]]), problem.swath_radius)
+        return whole.probability_efficiency(problem)
+
+    def best(tries):
+        arguments = (raster, raster.to_cells(rest), tries, np.random.default_rng(4))
+        return raster.to_metres(_best_try(problem, terrain, model, before, *arguments))
+
+    ways = fly(
+        problem, terrain, model, flown=before, count=12, rng=np.random.default_rng(4)
+    )[:, flown:]  # fmt: skip
+    values = [exact(way) for way in (rest, *ways)]
+    # The raster may take one for the best that is so by a hair.
+    assert exact(best(12)) == pytest.approx(max(values), rel=2e-3)
+    assert max(values) > 1.02 * values[0]
+
+
 def test_labels_are_finite_turns_of_whole_flights(taught) -> None:
     view, numbers, turn = taught.labels
     assert len(view) == len(numbers) == len(turn) > 8 * 8
@@ -83,7 +115,6 @@ def test_a_lesson_without_flights_is_empty(model) -> None:
 
 def test_what_search_is_said_to_find_is_what_its_path_sees(model, monkeypatch) -> None:
     """From the first step on in the paper's setup, by the exact seen probability of both paths."""
-    from wisar_planner.search.path import SearchPath
     from wisar_planner.training.expert_iteration import labels as module
 
     flights = []
@@ -109,5 +140,5 @@ def test_what_search_is_said_to_find_is_what_its_path_sees(model, monkeypatch) -
         SearchPath(rest, problem.swath_radius, "sac").seen_probability(problem.pdm) / terrain.unit
         for problem, (terrain, _, rest) in zip(problems, flights, strict=True)
     )
-    # Annealing finds the places where a coarse raster's cells count for a little more.
-    assert told.found == pytest.approx(exact, rel=0.02)
+    # Annealing finds the places where a raster's cells count for a little more.
+    assert told.found == pytest.approx(exact, rel=0.008)

@@ -33,8 +33,10 @@ class ExpertConfig:
         How often search goes on from what the policy has learned by then.
     flights : int
         Flights per round whose rest, from a random step on, search makes better.
+    tries : int
+        Ways on with random turns that the policy flies from there, to begin with the best.
     moves : int
-        Moves that search tries per step of that rest.
+        Moves that search tries per step of the rest, to make the best way on better.
     early_weight : float
         What search thinks of probability that is seen early, see `planners.refine`.
     remembered_flights : int
@@ -57,6 +59,7 @@ class ExpertConfig:
     seed: int = 0
     rounds: int = 8
     flights: int = 4096
+    tries: int = 16
     moves: int = 375
     early_weight: float = 0.25
     remembered_flights: int = 32_768
@@ -70,8 +73,8 @@ class ExpertConfig:
         check_algorithm(self.algorithm, ALGORITHM)
         check_seed(self.seed)
         check_at_least(
-            self, rounds=1, flights=1, moves=1, early_weight=0.0, remembered_flights=self.flights,
-            updates=1, batch=1, validation_maps=2,
+            self, rounds=1, flights=1, tries=0, moves=1, early_weight=0.0,
+            remembered_flights=self.flights, updates=1, batch=1, validation_maps=2,
         )  # fmt: skip
         check_positive(self, "rate")
 

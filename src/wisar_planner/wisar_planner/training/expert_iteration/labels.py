@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from wisar_planner.errors import FloatArray
 from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.random_kernels import random_state
 from wisar_planner.planners.refine import Schedule, annealing
-from wisar_planner.planners.search_raster import COARSE, SearchRaster
+from wisar_planner.planners.search_raster import FINE, SearchRaster
 from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path
 from wisar_planner.policy.heading import wrapped
 from wisar_planner.policy.model import Model
@@ -25,8 +26,6 @@ from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.problems import random_problems
 
-# Hot enough to leave the policy's way, cold enough at the end to keep what was found.
-_SCHEDULE = Schedule(0.05, 0.003)
 # Fewest steps that are left to search.
 _FEWEST_STEPS = 8
 # Share of the flights whose turns are random, so that states differ more.
@@ -99,28 +98,56 @@ def lesson(
     parts, seen, found = [], 0.0, 0.0
     for problem in random_problems(*flights, config.worlds, generator):
         terrain = Terrain.of(problem)
-        path = fly(problem, terrain, model, rng=rng if rng.random() < _RANDOM_SHARE else None)[0]
-        if len(path) <= problem.steps:
-            continue
         first = int(rng.integers(0, max(1, problem.steps - _FEWEST_STEPS + 1)))
-        raster = _unseen_after(problem, path, first)
-        rest = raster.to_cells(path[first:])
+        flown = _beginning(problem, terrain, model, first, rng)
+        own = fly(problem, terrain, model, flown=flown)[0]
+        if len(own) <= problem.steps:
+            continue
+        raster = _unseen_after(problem, flown)
+        rest = raster.to_cells(own[first:])
         seen += _weight(raster, rest) * raster.unit / terrain.unit
+        if config.tries:
+            rest = _best_try(problem, terrain, model, flown, raster, rest, config.tries, rng)
         for now in annealing(
-            raster, rest, _SCHEDULE, random_state(rng),
+            raster, rest, Schedule(), random_state(rng),
             iterations=config.moves * (len(rest) - 1), early_weight=config.early_weight,
         ):  # fmt: skip
             rest = now.points
         found += now.probability / terrain.unit
-        parts.append(_along(terrain, path[: first + 1], raster.to_metres(rest)))
+        parts.append(_along(terrain, flown, raster.to_metres(rest)))
     return Lesson(Labels.joined(parts), seen, found)
 
 
-def _unseen_after(problem: SearchProblem, path: FloatArray, steps: int) -> SearchRaster:
-    """Return the raster of what a path's first steps leave unseen."""
-    raster = SearchRaster(problem, COARSE)
-    points, tally = raster.to_cells(path), np.zeros(PERIODS, np.int64)
-    arguments = (raster.canvas, points, 0, steps, raster.radius)
+def _beginning(
+    problem: SearchProblem, terrain: Terrain, model: Model, steps: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return the first steps of a policy's flight, with random turns or without."""
+    if steps == 0:
+        return problem.start[None]
+    flown = itertools.count(1)
+    return fly(
+        problem, terrain, model, rng=rng if rng.random() < _RANDOM_SHARE else None,
+        on_step=lambda _: next(flown) == steps,
+    )[0]  # fmt: skip
+
+
+def _best_try(
+    problem: SearchProblem, terrain: Terrain, model: Model, flown: FloatArray,
+    raster: SearchRaster, rest: FloatArray, tries: int, rng: np.random.Generator,
+) -> FloatArray:  # fmt: skip
+    """Return, of a way on in cells and of ways with random turns, the one that sees the most."""
+    ways = fly(problem, terrain, model, flown=flown, count=tries, rng=rng)[:, len(flown) - 1 :]
+    if ways.shape[1] < len(rest):
+        return rest
+    return max(rest, *(raster.to_cells(each) for each in ways), key=partial(_weight, raster))
+
+
+def _unseen_after(problem: SearchProblem, flown: FloatArray) -> SearchRaster:
+    """Return the raster of what a path leaves unseen."""
+    # On a coarser one annealing finds mostly what only that raster sees.
+    raster = SearchRaster(problem, FINE)
+    points, tally = raster.to_cells(flown), np.zeros(PERIODS, np.int64)
+    arguments = (raster.canvas, points, 0, len(flown) - 1, raster.radius)
     paint_path(*arguments, ADD, tally)
     raster.canvas.weights[raster.canvas.counts > 0] = 0
     paint_path(*arguments, REMOVE, tally)
