@@ -142,7 +142,7 @@ def draw_distance_to_find(results: Mapping[str, Any], styles: Mapping[str, Look]
         _find_box(left, row, planner, styles[name])
         _found_bar(right, row, planner, styles[name])
     for axes, label in (
-        (left, "distance to find, m (5, 25, 50, 75, 95% of the found)"),
+        (left, "distance to find, m (5, 25, 50, 75, 95%; ◇ mean)"),
         (right, "persons found, % (95% interval)"),
     ):
         _plain_axes(axes)

@@ -60,12 +60,12 @@ class ExpertConfig:
     rounds: int = 8
     flights: int = 4096
     tries: int = 16
-    moves: int = 375
+    moves: int = 200
     early_weight: float = 0.25
     remembered_flights: int = 32_768
-    updates: int = 1000
+    updates: int = 2000
     batch: int = 512
-    rate: float = 1e-4
+    rate: float = 4e-3
     validation_maps: int = 1024
     worlds: WorldDistribution = field(default_factory=WorldDistribution)
 
