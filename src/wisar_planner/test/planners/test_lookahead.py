@@ -1,14 +1,10 @@
-import dataclasses
 import time
 
 import numpy as np
 import pytest
 
-from wisar_planner import SearchProblem, make_planner
-from wisar_planner.planners.lookahead import Lookahead
-from wisar_planner.planners.search_raster import COARSE, FINE, FINEST, SearchRaster
+from wisar_planner import make_planner
 from wisar_planner.search import upper_bound
-from wisar_planner.search.area import SearchArea
 
 
 def test_is_never_much_below_greedy_and_far_ahead_on_average(paper_problem):
@@ -93,23 +89,3 @@ def test_options_are_described(option):
     from wisar_planner.planners import planner_options
 
     assert option in planner_options("lookahead")
-
-
-@pytest.mark.parametrize(
-    ("side", "options", "finest"),
-    [
-        (150.0, {"time_budget_s": 0.5}, FINEST),
-        (150.0, {"time_budget_s": 2.0}, FINEST),
-        (150.0, {"time_budget_s": 0.1}, FINE),  # few moves a step
-        (150.0, {"max_iterations": 300_000}, FINEST),
-        (2000.0, {"time_budget_s": 2.0}, FINE),  # many cells to make
-        (2000.0, {"time_budget_s": 20.0}, FINEST),
-    ],
-)
-def test_the_last_raster_is_the_finest_that_there_is_time_for(side, options, finest):
-    paper = SearchProblem.paper(np.random.default_rng(0))
-    area = SearchArea.rectangle(0.0, 0.0, side, side)
-    problem = dataclasses.replace(paper, area=area, start=np.full(2, 0.5 * side))
-    stages = Lookahead(**options)._stages(SearchRaster(problem, COARSE), problem.steps)
-    assert stages[-1].cells_per_radius == finest
-    assert stages[-1].until == 1.0

@@ -7,7 +7,7 @@ from numba.core.errors import TypingError
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem
 from wisar_planner.planners.cell_vectors import PERIODS
-from wisar_planner.planners.search_raster import COARSE, FINE, FINEST, SearchRaster
+from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
 from wisar_planner.planners.swath_kernels import (
     ADD,
     MEASURE,
@@ -122,7 +122,7 @@ def problem(polygon):
 
 def test_raster_holds_the_map_with_a_margin_for_the_swath():
     rectangle = problem(shapely.box(0, 0, 100, 60))
-    for fineness in (COARSE, FINE, FINEST):
+    for fineness in (COARSE, FINE):
         raster = SearchRaster(rectangle, fineness)
         assert raster.radius == np.float64(fineness)
         xmin, ymin, xmax, ymax = raster.grid.bounds

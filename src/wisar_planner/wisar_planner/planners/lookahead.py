@@ -26,7 +26,7 @@ from wisar_planner.planners.greedy import Greedy
 from wisar_planner.planners.random_kernels import random_state
 from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, as_path
 from wisar_planner.planners.rollout_kernels import rollout
-from wisar_planner.planners.search_raster import COARSE, FINE, FINEST, MOST_CELLS, SearchRaster
+from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
 from wisar_planner.planners.swath_kernels import path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
@@ -54,19 +54,11 @@ class _Stage(NamedTuple):
 
 
 # Many paths shortly, the best of them longer, the best of all to the end.
-_FIRST_STAGES = (
+_STAGES = (
     _Stage(8, COARSE, 0.3, Schedule(0.05, 0.005)),
     _Stage(3, COARSE, 0.5, Schedule(0.03, 0.005)),
+    _Stage(1, FINE, 1.0, Schedule(0.02, 0.002)),
 )
-# A move takes three times as long on the finest raster, but what annealing found on the one before
-# that is not there is soon mended.
-_STAGES = (
-    *_FIRST_STAGES,
-    _Stage(1, FINE, 0.85, Schedule(0.02, 0.004)),
-    _Stage(1, FINEST, 1.0, Schedule(0.004, 0.002)),
-)
-# Where the finest raster takes too long to make.
-_WIDE_STAGES = (*_FIRST_STAGES, _Stage(1, FINE, 1.0, Schedule(0.02, 0.002)))
 # Where there is time for few moves a step: fewer paths, and longer on the raster of fast moves.
 _SHORT_STAGES = (
     _Stage(3, COARSE, 0.3, Schedule(0.05, 0.005)),
@@ -75,9 +67,6 @@ _SHORT_STAGES = (
 )
 # So many moves a step are few, and so many moves are about what a machine makes in a second.
 _FEW_MOVES, _MOVES_PER_SECOND = 700.0, 160_000.0
-# Share of the time that the finest raster may take to make, and how many of its cells take a
-# second where the map is a raster itself, which takes longest.
-_RASTER_SHARE, _CELLS_PER_SECOND = 0.06, 2.5e7
 
 
 class Found(NamedTuple):
@@ -134,7 +123,7 @@ class Lookahead(OptionedPlanner):
             return dataclasses.replace(path, planner=self.name)
         state = random_state(np.random.default_rng(self.seed))
         begins = 0.0
-        for stage in self._stages(raster, problem.steps):
+        for stage in self._stages(problem.steps):
             if monitor.stopped():
                 break
             found = heapq.nlargest(stage.paths, found, key=lambda each: each.value)
@@ -175,14 +164,10 @@ class Lookahead(OptionedPlanner):
     def _seconds(self) -> float:
         return self.time_budget_s if self._timed else math.inf
 
-    def _stages(self, raster: SearchRaster, steps: int) -> tuple[_Stage, ...]:
-        """Return the rounds of annealing for paths of so many steps, given the coarse raster."""
+    def _stages(self, steps: int) -> tuple[_Stage, ...]:
+        """Return the rounds of annealing for paths of so many steps."""
         moves = self.max_iterations or _MOVES_PER_SECOND * self.time_budget_s
-        if moves < _FEW_MOVES * steps:
-            return _SHORT_STAGES
-        cells = raster.canvas.weights.size * (FINEST / raster.cells_per_radius) ** 2
-        seconds = min(cells, MOST_CELLS) / _CELLS_PER_SECOND
-        return _WIDE_STAGES if seconds > _RASTER_SHARE * moves / _MOVES_PER_SECOND else _STAGES
+        return _SHORT_STAGES if moves < _FEW_MOVES * steps else _STAGES
 
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor

@@ -13,13 +13,12 @@ from wisar_planner.search.area_raster import AreaRaster
 from wisar_planner.search.problem import SearchProblem
 
 # Cells per swath radius. A swath 2 r wide covers up to floor(2 r) + 1 rows, and annealing finds the
-# places where it does; so 2 r, and 2 r sqrt(2) for diagonals, lie just under whole numbers. What it
-# finds that is not there comes to some 1.8, 0.6 and 0.2% of what the path sees.
-COARSE, FINE, FINEST = 3.495, 5.9975, 11.9975
+# places where it does; so 2 r, and 2 r sqrt(2) for diagonals, lie just under whole numbers.
+COARSE, FINE = 3.495, 5.9975
 # A step shorter than the swath needs cells no wider than this share of it.
 _CELLS_PER_STEP = 3.0
-#: Cells of the largest raster, 9 bytes each; a wider search gets coarser cells.
-MOST_CELLS = 1 << 22
+# Cells of the largest raster, 9 bytes each; a wider search gets coarser cells.
+_MOST_CELLS = 1 << 22
 # Steps of room about given positions.
 _ROOM = 16.0
 
@@ -34,7 +33,7 @@ class SearchRaster:
     problem : SearchProblem
         Supplies map, area, start, swath radius, step length and budget.
     cells_per_radius : float
-        Cells per swath radius, such as COARSE; more where a step is short.
+        Cells per swath radius, COARSE or FINE; more where a step is short.
     around : (N, 2) float64, optional
         Positions in metres. The raster then covers these and some steps about them, and waypoints
         beyond it count as outside the area; else it covers all the budget can reach.
@@ -66,7 +65,7 @@ class SearchRaster:
         high = np.minimum(around.max(axis=0) + reach, (xmax, ymax)) + problem.swath_radius
         cell = max(
             min(problem.swath_radius / cells_per_radius, problem.step_length / _CELLS_PER_STEP),
-            math.sqrt(math.prod(high - low) / MOST_CELLS),
+            math.sqrt(math.prod(high - low) / _MOST_CELLS),
         )
         self.grid = Grid.covering((*low, *high), cell)
         self.cells_per_radius = cells_per_radius
