@@ -19,7 +19,7 @@ from wisar_planner.training.worlds import WorldDistribution
 CPU = torch.device("cpu")
 CONFIG = Path(__file__).resolve().parents[5] / "config" / "expert_iteration.yaml"
 TINY = ExpertConfig(
-    name="tiny", rounds=3, flights=4, remembered_flights=8, moves=20, updates=3, batch=8,
+    name="tiny", rounds=3, flights=4, remembered_flights=8, tries=2, moves=20, updates=3, batch=8,
     validation_maps=2,
     worlds=WorldDistribution(paper_share=0.5, sides=(10.0, 12.0), budgets=(5, 9)),
 )  # fmt: skip
