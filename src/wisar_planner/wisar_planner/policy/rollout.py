@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -191,12 +190,10 @@ def fly(
     if flown is None:
         flown = problem.start[None]
     # A path of one search, in cells, as paths of all.
-    cells = list(np.repeat(terrain.to_cells(flown)[:, None], count, axis=1))
+    before = np.repeat(terrain.to_cells(flown)[:, None], count, axis=1)
+    cells = list(before)
     unseen = terrain.unseen(count)
-    before = [each.astype(np.float32) for each in cells]
-    seen = unseen.see(before[0], before[0]).astype(np.float64)
-    for start, end in itertools.pairwise(before):
-        seen += unseen.see(start, end)
+    seen = unseen.see_path(before.astype(np.float32)).astype(np.float64)
     heading = terrain.heading
     if len(flown) > 1:
         heading = math.atan2(*(flown[-1] - flown[-2])[::-1])

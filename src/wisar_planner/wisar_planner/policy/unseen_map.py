@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -101,6 +102,19 @@ class UnseenMap:
             np.asarray(self.radius), self.window, BLOCK, RATIO,
         )  # fmt: skip
         return array_namespace(start).asarray(gain)
+
+    def see_path(self, points: Array) -> Array:
+        """Take out what the first points and the flights between them see; see `see`.
+
+        Parameters
+        ----------
+        points : (K + 1, B, 2) float32
+            The ends of the flights, one after the other.
+        """
+        seen = self.see(points[0], points[0])
+        for start, end in itertools.pairwise(points):
+            seen = seen + self.see(start, end)
+        return seen
 
     def see_in_arrays(self, start: Array, end: Array) -> Array:
         """Do what `see` does in array operations, for any device."""

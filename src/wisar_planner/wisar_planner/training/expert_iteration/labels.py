@@ -176,11 +176,8 @@ def _along(terrain: Terrain, flown: FloatArray, rest: FloatArray) -> Labels:
         The waypoints from there on, m; to the end of the budget.
     """
     unseen = terrain.unseen(1)
-    before = terrain.to_cells(flown).astype(np.float32)[:, None]
+    unseen.see_path(terrain.to_cells(flown).astype(np.float32)[:, None])
     after = terrain.to_cells(rest).astype(np.float32)[:, None]
-    unseen.see(before[0], before[0])
-    for start, end in itertools.pairwise(before):
-        unseen.see(start, end)
     moves = np.diff(np.concatenate([flown[-2:-1], rest]), axis=0)
     headings = np.arctan2(moves[:, 1], moves[:, 0])
     if len(flown) == 1:
