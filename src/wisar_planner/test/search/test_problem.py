@@ -48,6 +48,19 @@ def test_areas():
     np.testing.assert_array_equal(island.contains([[0.5, 0.5], [3, 3], [5.5, 5.5]]), [1, 0, 1])
 
 
+def test_the_middle_of_an_area_is_its_centre_or_else_inside():
+    square = shapely.box(0, 0, 10, 10)
+    even = SearchArea(square)
+    np.testing.assert_allclose(even.middle, [5.0, 5.0], rtol=1e-12)
+    with pytest.raises(ValueError, match="read-only"):  # all callers share it
+        even.middle[0] = 6.0
+    holed = square.difference(shapely.box(3, 3, 7, 7))
+    parts = shapely.union_all([square, shapely.box(90, 0, 100, 10)])
+    for area in map(SearchArea, (holed, parts)):
+        assert not area.polygon.covers(area.polygon.centroid)
+        assert area.contains(area.middle[None, :])[0]
+
+
 @pytest.mark.parametrize(
     ("polygon", "named"),
     [

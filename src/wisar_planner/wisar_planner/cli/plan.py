@@ -212,14 +212,10 @@ def _problem(args: argparse.Namespace, loaded: LoadedMap) -> SearchProblem:
 
 def _start(text: str | None, area: SearchArea, frame: LocalFrame) -> FloatArray:
     """Return the place of ``LAT,LON``, m, or the middle of the area."""
-    import numpy as np
-
     from wisar_planner.errors import InvalidInput
 
     if text is None:
-        middle = area.polygon.centroid
-        inside = middle if area.polygon.covers(middle) else area.polygon.representative_point()
-        return np.array(inside.coords[0])
+        return area.middle
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError:

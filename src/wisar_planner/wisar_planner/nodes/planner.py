@@ -403,16 +403,10 @@ class PlannerNode(Node):
             When a value cannot be planned with, or the budget is below one step.
         """
         chosen = start or parameters.point(self, "start")
-        if chosen is None:
-            # The centre of an area with a hole may lie in the hole.
-            polygon = located.area.polygon
-            centre = polygon.centroid
-            inside = centre if polygon.covers(centre) else polygon.representative_point()
-            chosen = (inside.x, inside.y)
         problem = SearchProblem(
             pdm=located.pdm,
             area=located.area,
-            start=np.array(chosen),
+            start=located.area.middle if chosen is None else np.array(chosen),
             step_length=self.get_parameter("step_length").value,
             swath_radius=self.get_parameter("swath_radius").value,
             max_distance=budget if budget != 0.0 else self.get_parameter("max_distance").value,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import shapely
 from shapely import MultiPolygon, Polygon
 
-from wisar_planner.errors import InvalidInput, finite_array
+from wisar_planner.errors import FloatArray, InvalidInput, finite_array
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,15 @@ class SearchArea:
     def area(self) -> float:
         """Area in m^2."""
         return float(self.polygon.area)
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """Centre of the area, (2,) m; where that lies outside, as in a hole, a point inside."""
+        centre = self.polygon.centroid
+        inside = centre if self.polygon.covers(centre) else self.polygon.representative_point()
+        middle = np.array([inside.x, inside.y])
+        middle.flags.writeable = False
+        return middle
 
     @cached_property
     def convex(self) -> bool:
