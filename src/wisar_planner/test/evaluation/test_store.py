@@ -150,14 +150,22 @@ def test_a_folder_has_a_file_per_setup(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", ["not json\n", '{"other": 1}\n', "[1, 2]\n", "no line end", '{"setup": 3}\n']
+    "content",
+    [
+        b"not json\n",
+        b'{"other": 1}\n',
+        b"[1, 2]\n",
+        b"no line end",
+        b'{"setup": 3}\n',
+        b"II*\x00\x80\xff\n",
+    ],
 )
 def test_a_foreign_file_is_refused_and_left_as_it_is(tmp_path, content):
     path = tmp_path / "notes.txt"
-    path.write_text(content)
+    path.write_bytes(content)
     with pytest.raises(InvalidInput, match=r"notes\.txt"):
         RunStore(path, SETUP, [LAWNMOWER])
-    assert path.read_text() == content
+    assert path.read_bytes() == content
 
 
 def test_a_damaged_line_in_the_middle_is_named(tmp_path):

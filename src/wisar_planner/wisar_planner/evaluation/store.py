@@ -105,7 +105,9 @@ class RunStore:
         for number, line in enumerate(content[:end].splitlines(), start=1):
             try:
                 self._take(json.loads(line), number)
-            except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+            except InvalidInput:
+                raise  # Says itself what is wrong, and is a ValueError, too.
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
                 raise InvalidInput(
                     f"{self.path}: line {number} is not a line of finished runs ({error}); "
                     "name another file"
