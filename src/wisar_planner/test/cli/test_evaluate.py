@@ -58,6 +58,18 @@ def test_resumed_file_is_kept_and_gives_the_same_numbers(tmp_path):
     assert main([*SMALL, "--runs", "2", "--seed", "1", "--resume", str(runs)]) == 2
 
 
+@pytest.mark.parametrize("others", [["--gap"], ["--worlds", "worlds.yaml"]])
+def test_no_process_is_refused_where_all_runs_are_stored_too(tmp_path, monkeypatch, capsys, others):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "worlds.yaml").write_text("worlds: {short: {steps: 8}}")
+    small = ["evaluate", "--planner", "lawnmower", "--runs", "1", "--persons", "5"]
+    command = [*small, *others, "--resume", str(tmp_path / "runs")]
+    assert main([*command, "--jobs", "1"]) == 0
+    capsys.readouterr()
+    assert main([*command, "--jobs", "0"]) == 2
+    assert "wisar: --jobs must be at least 1" in capsys.readouterr().err
+
+
 def test_config_file_sets_the_scenario(tmp_path):
     config = tmp_path / "small.yaml"
     config.write_text(

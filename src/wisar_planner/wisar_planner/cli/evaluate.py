@@ -67,7 +67,10 @@ def add_parser(subparsers: Any) -> None:
     setup = parser.add_argument_group("maps and drone", "the paper's setup unless given")
     setup.add_argument("--config", type=Path, metavar="FILE", help="ROS 2 parameter file")
     setup.add_argument(
-        "--map", type=Path, metavar="FILE", help="this map instead of random ones: GeoTIFF, GeoJSON"
+        "--map",
+        type=Path,
+        metavar="FILE",
+        help="this map instead of random ones: .tif, .geojson or .yaml",
     )
     setup.add_argument(
         "--area", type=Path, metavar="FILE", help="GeoJSON polygon to search on the --map"
@@ -124,6 +127,9 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.evaluation.summary import summarise
     from wisar_planner.evaluation.tables import markdown
 
+    # Here once: what is left to do after runs that were all stored would fail in joblib's words.
+    if args.jobs == 0:
+        raise InvalidInput("--jobs must be at least 1, or -1 for one process per core, not 0")
     planners = planner_specs(args.planner, args.option)
     _check_outputs(args)
     if args.worlds:
