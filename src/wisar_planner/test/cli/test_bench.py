@@ -1,9 +1,11 @@
 import json
+import sys
 
 import pytest
 
+from wisar_planner.cli.bench import _NEED_TORCH
 from wisar_planner.cli.main import main
-from wisar_planner.evaluation import bench
+from wisar_planner.evaluation import bench, bench_training
 from wisar_planner.evaluation.bench_row import BenchRow
 
 
@@ -29,6 +31,40 @@ def test_rows_are_printed_and_written(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "peer 1.2" in text
     assert "123,456" in text
+
+
+def never():
+    raise AssertionError("measured in vain")
+
+
+def one_line(capsys):
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_measuring(monkeypatch, capsys):
+    monkeypatch.setattr(bench, "rows_of", lambda topic: {"slow": never})
+    assert main(["bench", "--json", "/proc/x/y"]) == 2
+    assert "wisar: --json: /proc/x/y cannot be written" in one_line(capsys)
+
+
+def test_a_row_that_needs_pytorch_is_refused_before_measuring_without_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.setattr(bench, "TOPICS", {"alpha": "unused", "training": "unused"})
+    rows = {"alpha": {"slow": never}, "training": {"training_samples": never}}
+    monkeypatch.setattr(bench, "rows_of", rows.__getitem__)
+    assert main(["bench"]) == 2
+    assert "--only alpha) needs PyTorch" in one_line(capsys)
+
+
+def test_no_other_row_of_training_needs_pytorch(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert set(_NEED_TORCH) < set(bench_training.ROWS)
+    for name in _NEED_TORCH:
+        with pytest.raises(ImportError):
+            bench_training.ROWS[name]()
+    assert set(bench_training.ROWS) - set(_NEED_TORCH) == {"training_gain_error"}
+    assert bench_training.training_gain_error(paths=1).ours > 0.0
 
 
 def test_only_measures_only_that(tmp_path):

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wisar_planner.evaluation.bench_row import BenchRow
+
+# Rows that cannot be measured without it.
+_NEED_TORCH = ("training_environment_steps", "training_samples", "training_share_of_bound")
 
 _EXAMPLES = """\
 examples:
@@ -56,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"{topic}: {', '.join(rows_of(topic))}")
         return 0
     selected = select_rows([name.strip() for name in args.only.split(",") if name.strip()])
+    _check(selected, args.json)
     rows: list[BenchRow] = []
     progress = Console(stderr=True, highlight=False)
     for name, row in zip(selected, measure(selected), strict=True):
@@ -64,9 +69,22 @@ def run(args: argparse.Namespace) -> int:
     _print_table(rows)
     if args.json:
         content = {"machine": machine(), "rows": [row_to_json(row) for row in rows]}
-        args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return 0
+
+
+def _check(selected: Iterable[str], json_file: Path | None) -> None:
+    """Refuse what would fail after minutes of measuring, and lose them."""
+    from wisar_planner.cli.output_files import check_names, make_places
+    from wisar_planner.cli.training_needs import require
+    from wisar_planner.evaluation.bench import TOPICS
+
+    if any(name in _NEED_TORCH for name in selected):
+        others = ",".join(topic for topic in TOPICS if topic != "training")
+        require(f"training (left out with --only {others}) needs PyTorch", "torch")
+    if json_file is not None:
+        check_names({}, [("--json", json_file, ())])
+        make_places([("--json", json_file)])
 
 
 def _print_table(rows: list[BenchRow]) -> None:
