@@ -7,7 +7,7 @@ from scipy import stats
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.scenario import Drone, FixedMap, RandomMaps, persons_in_area
-from wisar_planner.pdm import Grid, RasterMap
+from wisar_planner.pdm import GaussianMixture, Grid, RasterMap
 from wisar_planner.search import SearchArea
 
 PAPER = next(
@@ -52,6 +52,29 @@ def test_peak_start_is_near_the_highest_density():
     grid = Grid.covering(problem.area.bounds, 0.5)
     highest = problem.pdm.density(grid.centres().reshape(-1, 2)).max()
     assert problem.pdm.density(problem.start[None])[0] > 0.98 * highest
+
+
+def test_peak_start_lies_in_an_area_narrower_than_its_cells():
+    problem = RandomMaps().problem(0, 0)
+    area = SearchArea.rectangle(0.0, 70.0, 200.0, 80.0)
+    scenario = FixedMap(problem.pdm, area, "strip", Drone(swath_radius=30.0), "peak")
+    assert area.contains(scenario.problem(0, 0).start[None]).all()
+
+
+def test_peak_start_takes_a_raster_of_bounded_size(monkeypatch):
+    sizes = []
+    rasterize = GaussianMixture.rasterize
+
+    def counting(self, grid):
+        sizes.append(grid.rows * grid.columns)
+        return rasterize(self, grid)
+
+    monkeypatch.setattr(GaussianMixture, "rasterize", counting)
+    wide = RandomMaps(Drone(), "peak", (0.0, 0.0, 20_000.0, 20_000.0), 2, (4e4, 0.0, 0.0, 4e4))
+    problem = wide.problem(0, 0)
+    highest = problem.pdm.density(problem.pdm.means).max()
+    assert problem.pdm.density(problem.start[None])[0] > 0.98 * highest
+    assert max(sizes) <= 512**2
 
 
 def test_uniform_start_lies_in_an_area_of_any_shape():

@@ -17,6 +17,7 @@ import numpy as np
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array
 from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap
+from wisar_planner.planners.datum import most_probable_point
 from wisar_planner.search import SearchArea, SearchProblem
 from wisar_planner.yaml_files import read_yaml
 
@@ -271,10 +272,7 @@ def _start(
     if rule == "centre":
         return np.array([(x0 + x1) / 2.0, (y0 + y1) / 2.0])
     if rule == "peak":
-        grid = Grid.covering((x0, y0, x1, y1), drone.swath_radius)
-        centres = grid.centres().reshape(-1, 2)
-        inside = area.contains(centres)
-        return centres[inside][np.argmax(pdm.rasterize(grid).ravel()[inside])]
+        return most_probable_point(pdm, area, drone.swath_radius)
     rng = stream(seed, index, Facet.START)
     while True:
         points = rng.uniform((x0, y0), (x1, y1), size=(64, 2))
