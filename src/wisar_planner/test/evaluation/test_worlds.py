@@ -1,10 +1,13 @@
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 from wisar_planner import GaussianMixture, RasterMap
+from wisar_planner.cli.evaluate_worlds import selected_worlds
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.scenario import FixedMap, RandomMaps
@@ -18,6 +21,17 @@ def worlds_of(tmp_path, text):
     path = tmp_path / "worlds.yaml"
     path.write_text(text)
     return read_worlds(path)
+
+
+def chosen(file, names, maps=None):
+    """Return the names of the worlds of a file that `--world` selects."""
+    args = Namespace(worlds=file, world=names, world_maps=maps)
+    return [world.name for world in selected_worlds(args)]
+
+
+def test_every_shipped_world_can_be_chosen_alone(tmp_path):
+    names = [world.name for world in read_worlds(SHIPPED, maps=tmp_path)]
+    assert [chosen(SHIPPED, name, tmp_path) for name in names] == [[name] for name in names]
 
 
 def test_a_world_that_says_nothing_is_the_papers(tmp_path):
@@ -95,6 +109,25 @@ def test_real_maps_are_a_world_each_and_missing_ones_are_said(tmp_path):
     assert isinstance(first.scenario, FixedMap)
     assert first.scenario.search_area.area == pytest.approx(np.pi * 40**2, rel=2e-3)
     assert first.scenario.problem(0, 0).steps == 5
+    file = tmp_path / "worlds.yaml"
+    assert chosen(file, "real") == ["real a", "real b"]
+    assert chosen(file, "real b") == ["real b"]
+
+
+def test_what_is_wrong_with_a_map_is_said_with_its_world_and_file(tmp_path):
+    mapping = pytest.importorskip("wisar_planner.pdm.gis")
+    from wisar_planner.pdm.geodesy import GeoOrigin
+
+    text = "worlds: {real: {maps: '*.geojson', disc: 40, steps: 5}}"
+    path = tmp_path / "bent.geojson"
+    # The middle of its bounds lies 50 m or more from this L.
+    bent = shapely.box(0, 0, 150, 150).difference(shapely.box(20, 20, 150, 150))
+    mapping.save_mixture(path, RandomMaps().problem(0, 0).pdm, bent, GeoOrigin(56.0, -4.0))
+    with pytest.raises(InvalidInput, match=r"world 'real': disc: none of .*bent\.geojson .*40 m"):
+        worlds_of(tmp_path, text)
+    path.write_text("{")
+    with pytest.raises(InvalidInput, match=r"world 'real': .*bent\.geojson"):
+        worlds_of(tmp_path, text)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +143,8 @@ def test_real_maps_are_a_world_each_and_missing_ones_are_said(tmp_path):
         ("worlds: {a: {deviations: [4]}}", "deviations"),
         ("worlds: {a: {deviations: [4, 2]}}", "deviations"),
         ("worlds: {a: {smoothness: 4}}", "cell"),
-        ("worlds: {a: {start: nowhere}}", "start"),
+        ("worlds: {a: {start: nowhere}}", "worlds.yaml: world 'a': start must be"),
+        ("worlds: {'a, b': {}}", "world 'a, b': a comma"),
         ("worlds: {a: {step: 6, budget: 5}}", "world 'a': step: 6 m is longer than its budget"),
         ("worlds: {a: {maps: '*.tif', budget: 4, scale: 2}}", "world 'a': step: 16 m is longer"),
         ("worlds: {a: {", "YAML"),

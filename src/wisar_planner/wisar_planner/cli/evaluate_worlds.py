@@ -39,7 +39,7 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
     # One that does not exist and has the suffix of a file is not meant as a folder.
     if keep is not None and not keep.is_dir() and (keep.exists() or keep.suffix not in _FOLDERS):
         raise InvalidInput(f"--resume: {keep} must be a folder, for there is a file per world")
-    worlds = _selected(args)
+    worlds = selected_worlds(args)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     results = {
@@ -67,8 +67,16 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
     return 0
 
 
-def _selected(args: argparse.Namespace) -> list[World]:
-    """Return the worlds of the file, or those that ``--world`` names."""
+def selected_worlds(args: argparse.Namespace) -> list[World]:
+    """Return the worlds of the file, or those that ``--world`` names.
+
+    A name is a world's own, or that of an entry of the file: then all worlds that came from it.
+
+    Raises
+    ------
+    InvalidInput
+        If the file is wrong or has no world of a name.
+    """
     from wisar_planner.errors import InvalidInput
     from wisar_planner.evaluation.worlds import read_worlds
 
@@ -76,11 +84,11 @@ def _selected(args: argparse.Namespace) -> list[World]:
     if not args.world:
         return worlds
     wanted = [name.strip() for name in args.world.split(",") if name.strip()]
-    known = [world.name for world in worlds]
+    known = list(dict.fromkeys(name for world in worlds for name in (world.entry, world.name)))
     for name in wanted:
         if name not in known:
             raise InvalidInput(f"--world: {name!r} is not in {args.worlds}; it has {known}")
-    return [world for world in worlds if world.name in wanted]
+    return [world for world in worlds if {world.name, world.entry} & set(wanted)]
 
 
 def _run_all(

@@ -1,7 +1,8 @@
 """Worlds: named families of search problems from a YAML file, to compare planners in all of them.
 
-The file is a mapping ``worlds: {NAME: {KEY: VALUE}}``. What a world does not say is the paper's
-setup. Its keys are the fields of `_Description`; lengths are in metres.
+The file is a mapping ``worlds: {NAME: {KEY: VALUE}}``; names have no comma, which separates them
+where several are chosen. What a world does not say is the paper's setup. Its keys are the fields
+of `_Description`; lengths are in metres.
 """
 
 from __future__ import annotations
@@ -156,9 +157,22 @@ class Rasterised:
 
 @dataclass(frozen=True)
 class World:
-    """A scenario and its name; without a scenario, why there is none."""
+    """A scenario and its name; without a scenario, why there is none.
+
+    Parameters
+    ----------
+    name : str
+        Its name, of its own.
+    entry : str
+        The name in the file, which worlds of several GIS files share.
+    scenario : Scenario or None
+        The scenario.
+    missing : str
+        Why there is no scenario.
+    """
 
     name: str
+    entry: str
     scenario: Scenario | None
     missing: str = ""
 
@@ -283,15 +297,24 @@ def read_worlds(path: Path, maps: Path | None = None) -> list[World]:
     worlds: list[World] = []
     for name, values in described.items():
         where = f"{path}: world {name!r}"
-        world = _Description.of(values, where)
-        if world.maps is None:
-            worlds.append(World(str(name), world.scenario(where)))
-        else:
-            worlds.extend(_gis_worlds(str(name), world, path.parent, maps))
+        if "," in str(name):
+            raise InvalidInput(f"{where}: a comma separates names; choose a name without one")
+        try:
+            world = _Description.of(values, where)
+            if world.maps is None:
+                worlds.append(World(str(name), str(name), world.scenario(where)))
+            else:
+                worlds.extend(_gis_worlds(str(name), world, path.parent, maps))
+        except InvalidInput as error:
+            # Maps, areas and scenarios do not know for which world they are made.
+            text = str(error)
+            raise InvalidInput(text if text.startswith(where) else f"{where}: {text}") from None
     return worlds
 
 
-def _gis_worlds(name: str, world: _Description, home: Path, folder: Path | None) -> Iterator[World]:
+def _gis_worlds(
+    entry: str, world: _Description, home: Path, folder: Path | None
+) -> Iterator[World]:
     """Yield a world for each GIS file, or one that says that there is none."""
     from wisar_planner.pdm.gis import load_map
 
@@ -299,16 +322,21 @@ def _gis_worlds(name: str, world: _Description, home: Path, folder: Path | None)
     where = folder if folder is not None else home / pattern.parent
     files = sorted(where.glob(pattern.name)) if where.is_dir() else []
     if not files:
-        yield World(name, None, f"skipped: no file {pattern.name} in {where}")
+        yield World(entry, entry, None, f"skipped: no file {pattern.name} in {where}")
     for file in files:
         loaded = load_map(file)
         polygon = loaded.area
         if world.disc is not None:
             centre = polygon.envelope.centroid
             polygon = polygon.intersection(centre.buffer(world.disc, quad_segs=32))
+            if not polygon.area > 0.0:
+                raise InvalidInput(
+                    f"disc: none of the area of {file} is within {world.disc:g} m of the middle of "
+                    "its bounds; give a larger disc"
+                )
         area = SearchArea.from_polygon(polygon)
-        title = f"{name} {file.stem}"
-        yield World(title, FixedMap(loaded.pdm, area, file.name, world.drone, world.start))
+        scenario = FixedMap(loaded.pdm, area, file.name, world.drone, world.start)
+        yield World(f"{entry} {file.stem}", entry, scenario)
 
 
 def _with_map(base: RandomMaps, pdm: ProbabilityMap, seed: int, index: int) -> SearchProblem:
