@@ -47,6 +47,12 @@ def test_start_rules_with_a_known_point(rule, expected):
     np.testing.assert_array_equal(RandomMaps(start=rule).problem(0, 0).start, expected)
 
 
+def test_centre_start_lies_in_an_area_that_its_bounds_middle_is_not_in():
+    bent = SearchArea(shapely.box(0, 0, 150, 150).difference(shapely.box(20, 20, 150, 150)))
+    scenario = FixedMap(RandomMaps().problem(0, 0).pdm, bent, "bent", Drone(), "centre")
+    assert bent.contains(scenario.problem(0, 0).start[None]).all()
+
+
 def test_peak_start_is_near_the_highest_density():
     problem = RandomMaps(start="peak").problem(0, 0)
     grid = Grid.covering(problem.area.bounds, 0.5)

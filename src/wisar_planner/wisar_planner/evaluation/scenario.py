@@ -21,8 +21,8 @@ from wisar_planner.planners.datum import most_probable_point
 from wisar_planner.search import SearchArea, SearchProblem
 from wisar_planner.yaml_files import read_yaml
 
-#: Where a run starts: "uniform" in the area, the most probable cell ("peak"), the middle of the
-#: area's bounds ("centre"), or a point in metres.
+#: Where a run starts: "uniform" in the area, the most probable cell ("peak"), the area's middle
+#: ("centre"), or a point in metres.
 StartRule = str | tuple[float, float]
 START_RULES = ("uniform", "peak", "centre")
 
@@ -266,13 +266,13 @@ def _start(
     pdm: ProbabilityMap, area: SearchArea, drone: Drone, rule: StartRule, seed: int, index: int
 ) -> FloatArray:
     """Return the start of a run, (2,), m."""
-    x0, y0, x1, y1 = area.bounds
     if not isinstance(rule, str):
         return np.asarray(rule, dtype=np.float64)
     if rule == "centre":
-        return np.array([(x0 + x1) / 2.0, (y0 + y1) / 2.0])
+        return area.middle
     if rule == "peak":
         return most_probable_point(pdm, area, drone.swath_radius)
+    x0, y0, x1, y1 = area.bounds
     rng = stream(seed, index, Facet.START)
     while True:
         points = rng.uniform((x0, y0), (x1, y1), size=(64, 2))
