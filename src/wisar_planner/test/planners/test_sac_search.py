@@ -6,6 +6,8 @@ import pytest
 import shapely
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
+from wisar_planner.planners import sac_search
+from wisar_planner.planners.lookahead import Monitor
 
 
 def check(problem, path):
@@ -69,6 +71,43 @@ def test_stops_when_told_with_a_whole_path(paper_problem, after):
     check(problem, path)
     assert len(path.waypoints) == problem.steps + 1
     assert next(asked) < after + 200
+
+
+@pytest.fixture
+def flown(monkeypatch):
+    """The steps of each flight of the policy, in turn."""
+    steps, fly = [], sac_search.fly
+
+    def counted(*arguments, **options):
+        paths = fly(*arguments, **options)
+        steps.append(paths.shape[1] - 1)
+        return paths
+
+    monkeypatch.setattr(sac_search, "fly", counted)
+    return steps
+
+
+def test_the_first_flight_ends_when_told(paper_problem, flown):
+    problem, asked = paper_problem(36), itertools.count(1)
+    planner = make_planner("sac_search", max_iterations=1000)
+    path = planner.plan(problem, should_stop=lambda: next(asked) > 10)
+    assert flown == [11]
+    check(problem, path)
+    assert len(path.waypoints) == problem.steps + 1
+
+
+@pytest.mark.parametrize(("patience_s", "steps"), [(-1.0, 33), (1e9, 64)])
+def test_a_flight_that_takes_half_the_time_left_is_given_up(
+    paper_problem, flown, monkeypatch, patience_s, steps
+):
+    """By a clock that goes on by 1/64 of the time whenever it is read; it is once before."""
+    problem, read = paper_problem(37), itertools.count(1)
+    monkeypatch.setattr(Monitor, "spent", lambda self: next(read) / 64)
+    monkeypatch.setattr(sac_search, "_PATIENCE_S", patience_s)
+    path = make_planner("sac_search", time_budget_s=0.01).plan(problem)
+    assert flown[0] == steps
+    check(problem, path)
+    assert len(path.waypoints) == problem.steps + 1
 
 
 def test_progress_never_falls(paper_problem):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -22,6 +25,11 @@ from wisar_planner.search.problem import SearchProblem
 _RANDOM_FLIGHTS = 48
 # Flights side by side.
 _BATCH = 16
+# Share of the time left after which a flight is given up: greedy rollouts take far less, and have
+# the rest.
+_FLIGHT_SHARE = 0.5
+# A flight is given up no sooner than after so many seconds, within which most are done.
+_PATIENCE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,8 @@ class SacSearch(Lookahead):
 
     First the policy flies its most likely turns, so that there is a good plan at once, then
     flights with random turns; the greedy rollouts that `Lookahead` starts from join them. The best
-    are refined as there.
+    are refined as there. Where the first flight would take more than half the time that is left
+    for it, it is given up, and the rollouts are all there is.
     """
 
     name: ClassVar[str] = "sac_search"
@@ -50,7 +59,7 @@ class SacSearch(Lookahead):
             before = monitor.spent()
             paths = fly(
                 problem, terrain, model, count=count, rng=rng if flown else None,
-                on_step=(lambda _: monitor.asked_to_stop()) if found else None,
+                on_step=_give_up(monitor),
             )  # fmt: skip
             if paths.shape[1] <= problem.steps:
                 break
@@ -80,3 +89,19 @@ class SacSearch(Lookahead):
         value, probability = path_value(tally, self.early_weight), tally[-1] * raster.unit
         paint_path(*arguments, REMOVE, tally)
         return Found(value, points), probability
+
+
+def _give_up(monitor: Monitor) -> Callable[[FloatArray], bool]:
+    """Return what says after each step of a flight whether to give it up."""
+    until, patient_until = math.inf, math.inf
+
+    def on_step(_: FloatArray) -> bool:
+        nonlocal until, patient_until
+        spent, now = monitor.spent(), time.monotonic()
+        # From the end of the first step on: in a new process that step loads compiled code.
+        if until == math.inf:
+            until = spent + _FLIGHT_SHARE * (1.0 - spent)
+            patient_until = now + _PATIENCE_S
+        return monitor.asked_to_stop() or (spent > until and now > patient_until)
+
+    return on_step
