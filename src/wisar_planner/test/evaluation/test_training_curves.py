@@ -1,6 +1,7 @@
 """Tables and figures of trainings."""
 
 import dataclasses
+import json
 
 import pytest
 
@@ -10,13 +11,22 @@ import torch
 
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
-from wisar_planner.evaluation.training_curves import TrainingCurve, draw, markdown, read_curve
-from wisar_planner.training.judging import fly_maps
-from wisar_planner.training.records import Validation, write_checkpoint
+from wisar_planner.evaluation.training_curves import (
+    TrainingCurve,
+    draw,
+    fly_fresh_maps,
+    markdown,
+    read_curve,
+)
+from wisar_planner.policy.model import Model
+from wisar_planner.training.judging import fly_problem
+from wisar_planner.training.problems import random_problems
+from wisar_planner.training.records import Validation, read_checkpoint, write_checkpoint
 from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.sac.run import SacRun
 from wisar_planner.training.streams import fresh_generator
+from wisar_planner.training.worlds import WorldDistribution
 
 
 def curve(policy: str, seed: int, *points: tuple[float, float], **config) -> TrainingCurve:
@@ -136,17 +146,71 @@ def test_a_folder_without_a_run_is_refused(tmp_path) -> None:
         read_curve(tmp_path)
 
 
-def test_a_policy_is_judged_on_fresh_maps_from_the_folder_of_its_run(tmp_path, capsys) -> None:
-    config = SacConfig(
-        steps=80, environments=4, warm_up_steps=32, updates=0.5, batch=8, replay=128, seed=3,
-        validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
-    )  # fmt: skip
-    run = SacRun(config, tmp_path, torch.device("cpu"))
-    list(run.train())
-    policy = fly_maps(lambda shown: run.sac.act(shown, None), 3, fresh_generator(run.device))
-    assert main(["curves", str(tmp_path), "--fresh-maps", "3"]) == 0
+TINY = SacConfig(
+    name="tiny", steps=80, environments=4, warm_up_steps=32, updates=0.5, batch=8, replay=128,
+    seed=3, validation_maps=2, validation_every=80, sac=SacSettings(channels=4, blocks=1),
+)  # fmt: skip
+
+
+@pytest.fixture
+def trained(tmp_path, monkeypatch):
+    """A function that trains in the folder."""
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)  # flies here, in no other process
+
+    def train(config):
+        run = SacRun(config, tmp_path, torch.device("cpu"))
+        list(run.train())
+        return run
+
+    return train
+
+
+def on_fresh_maps(folder, capsys) -> str:
+    """Return the last column of the table's only line."""
+    assert main(["curves", str(folder), "--fresh-maps", "3"]) == 0
     title, _, row = capsys.readouterr().out.splitlines()
-    assert title.endswith("on fresh maps |")
-    assert row.endswith(f"| {100.0 * float(policy.share.mean()):.1f}% |")
+    assert title.endswith("of the last, on fresh maps |")
+    return row.split("|")[-2].strip()
+
+
+def test_a_policy_is_judged_as_it_is_planned_with(tmp_path, trained, capsys) -> None:
+    """Its last one, by the exact seen probability."""
+    run = trained(TINY)
+    weights = {name: each.detach().numpy() for name, each in run.sac.actor.items()}
+    problems = random_problems(3, 0, WorldDistribution(), fresh_generator(run.device))
+    shares = [fly_problem(each, Model(weights, {}))[1] for each in problems]
+    flown: list[int] = []
+    curve = fly_fresh_maps(read_curve(tmp_path), tmp_path, 3, flown.append)
+    assert curve.fresh_share == pytest.approx(sum(shares) / 3.0, rel=1e-12)
+    assert sum(flown) == 3
+    assert on_fresh_maps(tmp_path, capsys) == f"{100.0 * sum(shares) / 3.0:.1f}%"
     assert main(["curves", str(tmp_path), "--fresh-maps", "0"]) == 2
     assert "must be at least 1, not 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ablation", ["mlp", "no_fine_scale"])
+def test_what_no_planner_can_fly_is_judged_by_the_raster(
+    tmp_path, trained, capsys, ablation
+) -> None:
+    run = trained(dataclasses.replace(TINY, ablation=ablation))
+    share = float(run.fly(3, fresh_generator(run.device)).share.mean())
+    assert on_fresh_maps(tmp_path, capsys) == f"{100.0 * share:.1f}% by the raster"
+
+
+@pytest.mark.parametrize("ablation", ["", "mlp"])
+def test_a_run_begun_on_a_gpu_is_judged_and_not_gone_on_with_on_a_cpu(
+    tmp_path, trained, capsys, ablation
+) -> None:
+    config = dataclasses.replace(TINY, ablation=ablation)
+    trained(config)
+    tensors, counters = read_checkpoint(tmp_path, dataclasses.asdict(config), torch.device("cpu"))
+    # The state of a GPU's generator has 16 bytes.
+    tensors["generator"] = torch.zeros(16, dtype=torch.uint8)
+    write_checkpoint(tmp_path, tensors, counters)
+    assert on_fresh_maps(tmp_path, capsys)
+    file = tmp_path / "tiny.yaml"
+    file.write_text(json.dumps(dataclasses.asdict(config)))  # JSON is YAML, too
+    assert main(["train", str(file), "--out", str(tmp_path), "--threads", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "begun on cuda; go on with --device cuda" in error
+    assert len(error.splitlines()) == 1

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wisar_planner.evaluation.training_curves import TrainingCurve
 
 _EXAMPLES = """\
 examples:
@@ -34,7 +38,9 @@ def add_parser(subparsers: Any) -> None:
         "--fresh-maps",
         type=int,
         metavar="N",
-        help="fly each run's last policy on N maps that neither training nor validation meets",
+        help="fly each run's last policy on N maps that neither training nor validation meets; all "
+        "are judged by the exact seen probability but ablations and the paper's, which no planner "
+        "can fly",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the curves, e.g. .png")
@@ -47,18 +53,13 @@ def run(args: argparse.Namespace) -> int:
     from wisar_planner.cli.training_needs import require
 
     require("curves of trainings need PyTorch", "torch")
-    from rich.console import Console
-    from rich.progress import track
-
-    from wisar_planner.evaluation.training_curves import draw, fly_fresh_maps, markdown, read_curve
+    from wisar_planner.evaluation.training_curves import draw, markdown, read_curve
 
     if args.figure:
         check_names({}, [("--figure", args.figure, (".png", ".pdf", ".svg"))])
     curves = [read_curve(folder) for folder in args.runs]
     if args.fresh_maps is not None:
-        both = list(zip(curves, args.runs, strict=True))
-        shown = track(both, "flying", console=Console(stderr=True), transient=True)
-        curves = [fly_fresh_maps(curve, folder, args.fresh_maps) for curve, folder in shown]
+        curves = _flown(curves, args.runs, args.fresh_maps)
     table = markdown(curves)
     print(table, end="")
     for path in (args.markdown, args.figure):
@@ -69,3 +70,22 @@ def run(args: argparse.Namespace) -> int:
     if args.figure:
         draw(curves).savefig(args.figure, dpi=160)
     return 0
+
+
+def _flown(
+    curves: Sequence[TrainingCurve], folders: Sequence[Path], maps: int
+) -> list[TrainingCurve]:
+    """Return the curves with what the policies reach on fresh maps, with a progress bar."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    from wisar_planner.evaluation.training_curves import fly_fresh_maps
+
+    columns = (TextColumn("flying"), BarColumn(), MofNCompleteColumn(), Remaining())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("flying", total=len(curves) * maps)
+        return [
+            fly_fresh_maps(curve, folder, maps, lambda count: progress.advance(task, count))
+            for curve, folder in zip(curves, folders, strict=True)
+        ]

@@ -22,9 +22,12 @@ from matplotlib.ticker import (
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.palette import looks
-from wisar_planner.training.algorithms import load_run
+from wisar_planner.training.algorithms import last_policy, load_run
+from wisar_planner.training.judging import fly_problems
+from wisar_planner.training.problems import random_problems
 from wisar_planner.training.records import Validation, read_counters
 from wisar_planner.training.streams import fresh_generator
+from wisar_planner.training.worlds import WorldDistribution
 
 #: Mean probability efficiency on the paper's setup that a training is timed to.
 GOAL = 0.28
@@ -46,6 +49,9 @@ class TrainingCurve:
         In the order of the training; at least one.
     fresh_share : float, optional
         Mean share of the bound on fresh maps, where the run's last policy was flown there.
+    fresh_by_raster : bool
+        Whether that is by the raster of training, which tells a little less than the exact seen
+        probability.
     config : mapping
         The configuration; runs of one policy that differ in more than the seed are compared.
     """
@@ -54,6 +60,7 @@ class TrainingCurve:
     seed: int
     validations: Sequence[Validation]
     fresh_share: float | None = None
+    fresh_by_raster: bool = False
     config: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -94,8 +101,17 @@ def read_curve(folder: Path) -> TrainingCurve:
     )
 
 
-def fly_fresh_maps(curve: TrainingCurve, folder: Path, maps: int) -> TrainingCurve:
+def fly_fresh_maps(
+    curve: TrainingCurve,
+    folder: Path,
+    maps: int,
+    on_flown: Callable[[int], None] | None = None,
+) -> TrainingCurve:
     """Return the curve of a run with the share of the bound of its last policy on fresh maps.
+
+    It is flown as plans fly it and judged by the exact seen probability, however the run itself
+    judges its policies. Ablations and the paper's policy, which no planner can fly, are flown in
+    the environment that they were trained in and judged by its raster.
 
     Parameters
     ----------
@@ -104,8 +120,10 @@ def fly_fresh_maps(curve: TrainingCurve, folder: Path, maps: int) -> TrainingCur
     folder : Path
         The run's folder.
     maps : int
-        Number of maps of the paper's setup, the same ones for every run. They chose nothing:
-        neither training nor validation meets them.
+        Number of maps of the paper's setup, the same ones for every run but the paper's. They
+        chose nothing: neither training nor validation meets them.
+    on_flown : callable, optional
+        Told how many more maps were flown.
 
     Raises
     ------
@@ -114,9 +132,20 @@ def fly_fresh_maps(curve: TrainingCurve, folder: Path, maps: int) -> TrainingCur
     """
     if maps < 1:
         raise InvalidInput(f"the number of fresh maps must be at least 1, not {maps}")
+    told = on_flown or (lambda _: None)
     device = torch.device("cpu")
-    flights = load_run(folder, device).fly(maps, fresh_generator(device))
-    return dataclasses.replace(curve, fresh_share=float(flights.share.mean()))
+    generator, model = fresh_generator(device), last_policy(folder)
+    if model is None:
+        shares = load_run(folder, device).fly(maps, generator).share.tolist()
+        told(maps)
+    else:
+        shares = []
+        for _, share in fly_problems(
+            random_problems(maps, 0, WorldDistribution(), generator), model
+        ):
+            shares.append(share)
+            told(1)
+    return dataclasses.replace(curve, fresh_share=_mean(shares), fresh_by_raster=model is None)
 
 
 def markdown(curves: Sequence[TrainingCurve]) -> str:
@@ -142,7 +171,8 @@ def markdown(curves: Sequence[TrainingCurve]) -> str:
         )
         if flown:
             shares = [100.0 * run.fresh_share for run in runs if run.fresh_share is not None]
-            lines[-1] += f" {_spread(shares, '{:.1f}')}% |"
+            raster = " by the raster" if runs[0].fresh_by_raster else ""
+            lines[-1] += f" {_spread(shares, '{:.1f}')}%{raster} |"
     return "\n".join(lines) + "\n"
 
 

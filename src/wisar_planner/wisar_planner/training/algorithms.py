@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.policy.model import Model, load_model
 from wisar_planner.training.config import build, read_fields
 from wisar_planner.training.expert_iteration import config as expert_iteration
 from wisar_planner.training.expert_iteration.config import ExpertConfig
@@ -15,13 +16,14 @@ from wisar_planner.training.expert_iteration.run import ExpertRun
 from wisar_planner.training.improvement import config as improvement
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.run import ImprovementRun
+from wisar_planner.training.judging import planned
 from wisar_planner.training.paper import config as paper
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.run import PaperRun
 from wisar_planner.training.ppo import config as ppo
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.run import PpoRun
-from wisar_planner.training.records import read_counters
+from wisar_planner.training.records import read_counters, read_tensors
 from wisar_planner.training.run import Run
 from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.run import SacRun
@@ -101,7 +103,7 @@ def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
 
 
 def load_run(folder: Path, device: torch.device) -> AnyRun:
-    """Return the run that left a checkpoint in a folder, where it stood then.
+    """Return the run that left a checkpoint in a folder, to fly its last policy.
 
     Raises
     ------
@@ -110,5 +112,25 @@ def load_run(folder: Path, device: torch.device) -> AnyRun:
     """
     config = _make_config(read_counters(folder)["config"], str(folder))
     run = make_run(config, folder, device)
-    run.load_checkpoint()
+    run.load_checkpoint(to_train=False)
     return run
+
+
+def last_policy(folder: Path) -> Model | None:
+    """Return the last policy of a run from its checkpoint, None where no planner could fly it.
+
+    None are ablations and the paper's policy. What the run started from is not needed.
+
+    Raises
+    ------
+    InvalidInput
+        When the checkpoint cannot be read.
+    """
+    counters = read_counters(folder)
+    config = counters["config"]
+    if config.get("ablation") or config.get("algorithm") == paper.ALGORITHM:
+        return None
+    distribution = counters.get("distribution")
+    if distribution is None:  # Earlier checkpoints leave that to the card of the best policy.
+        distribution = load_model(folder / f"{config['name']}.safetensors").distribution
+    return planned(read_tensors(folder, "actor"), distribution)

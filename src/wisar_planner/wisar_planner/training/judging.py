@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import torch
@@ -16,6 +16,7 @@ from wisar_planner.search.bound import upper_bound
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.ablation import make_environment
+from wisar_planner.training.processes import in_processes
 from wisar_planner.training.worlds import WorldDistribution
 
 
@@ -85,3 +86,22 @@ def fly_problem(problem: SearchProblem, model: Model) -> tuple[float, float]:
     path = SearchPath(waypoints, problem.swath_radius)
     efficiency = path.probability_efficiency(problem)
     return efficiency, efficiency / upper_bound(problem)
+
+
+def fly_problems(problems: Iterable[SearchProblem], model: Model) -> Iterator[tuple[float, float]]:
+    """Yield what `fly_problem` returns for each problem, flown in several processes."""
+    yield from in_processes(fly_problem, ((problem, model) for problem in problems))
+
+
+def planned(actor: Mapping[str, Tensor], distribution: str) -> Model:
+    """Return a policy as planners fly it, as it is now.
+
+    Parameters
+    ----------
+    actor : mapping of str to Tensor
+        Parameters of its network.
+    distribution : str
+        How its turns are distributed, one of `heading.DISTRIBUTIONS`.
+    """
+    weights = {name: each.detach().cpu().numpy().copy() for name, each in actor.items()}
+    return Model(weights, {"distribution": distribution})

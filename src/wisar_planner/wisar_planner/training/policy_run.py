@@ -65,9 +65,12 @@ class PolicyRun(Run[Config]):
         self._distribution = self._start.distribution
 
     def _counters(self) -> dict[str, Any]:
-        return {"start_sha256": self._start.card["weights_sha256"]}
+        return {
+            "start_sha256": self._start.card["weights_sha256"],
+            "distribution": self._distribution,
+        }
 
-    def load_checkpoint(self) -> None:
+    def load_checkpoint(self, *, to_train: bool = True) -> None:
         """Go on from the folder's checkpoint; see `Run.load_checkpoint`.
 
         Raises
@@ -82,7 +85,7 @@ class PolicyRun(Run[Config]):
                     f"start: {self.config.start} is another policy than {self.folder} began with; "
                     "take another folder"
                 )
-        super().load_checkpoint()
+        super().load_checkpoint(to_train=to_train)
 
     def _policy(self) -> Policy:
         """Return the present policy without noise; it changes as the actor learns."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
@@ -166,6 +167,23 @@ def read_checkpoint(
             f"{path} belongs to another configuration; take another folder or remove it"
         )
     return stored, counters
+
+
+def read_tensors(folder: Path, owner: str) -> dict[str, Tensor]:
+    """Return those of the tensors in the folder's checkpoint that are called `owner`.NAME, by NAME.
+
+    Raises
+    ------
+    InvalidInput
+        When the checkpoint cannot be read.
+    """
+    path, above = folder / _CHECKPOINT, f"{owner}."
+    try:
+        with safe_open(path, "pt") as stored:
+            names = [name for name in stored.keys() if name.startswith(above)]  # noqa: SIM118
+            return {name.removeprefix(above): stored.get_tensor(name) for name in names}
+    except Exception as error:  # safetensors raises its own kinds
+        raise InvalidInput(f"{path} cannot be read: {error}") from None
 
 
 def read_counters(folder: Path) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from wisar_planner.training.judging import Flights
 from wisar_planner.training.records import Validation, read_checkpoint, write_checkpoint
 from wisar_planner.training.streams import training_generator, validation_generator
 
+# Bytes of the state of a GPU's generator; that of the CPU has thousands.
+_CUDA_STATE = 16
+
 #: Told steps and updates as they grow.
 OnProgress = Callable[[int, int], None]
 
@@ -165,25 +168,44 @@ class Run(ABC, Generic[Config]):
         tensors = {"generator": self.generator.get_state()} | self._tensors()
         write_checkpoint(folder, tensors, counters)
 
-    def load_checkpoint(self) -> None:
+    def load_checkpoint(self, *, to_train: bool = True) -> None:
         """Go on from the folder's checkpoint.
+
+        Parameters
+        ----------
+        to_train : bool
+            Whether training is to go on; the policy alone can be flown on another kind of device
+            than the run was begun on, too.
 
         Raises
         ------
         InvalidInput
-            When there is no folder, or its checkpoint cannot be read or belongs to another
-            configuration.
+            When there is no folder, or its checkpoint cannot be read, belongs to another
+            configuration, or is of another kind of device.
         """
         if self.folder is None:
             raise InvalidInput("folder: a run without a folder has no checkpoint")
         stored, counters = read_checkpoint(self.folder, self.plain_config(), self.device)
+        state = stored["generator"].cpu()
+        if to_train:
+            self._check_device(state)
         with torch.no_grad():
             self._restore(stored, counters)
-        self.generator.set_state(stored["generator"].cpu())
+        if to_train:
+            self.generator.set_state(state)
         self.steps, self.updates = counters["steps"], counters["updates"]
         self.seconds = counters["seconds"]
         self.best_score, self.best_share = counters["best_score"], counters["best_share"]
         self.validations = [Validation(**each) for each in counters["validations"]]
+
+    def _check_device(self, state: Tensor) -> None:
+        """Raise InvalidInput where a generator's state is of another kind of device."""
+        if len(state) != len(self.generator.get_state()):
+            begun = "cuda" if len(state) == _CUDA_STATE else "cpu"
+            raise InvalidInput(
+                f"{self.folder} was begun on {begun}; go on with --device {begun}, or take another "
+                "folder"
+            )
 
     def plain_config(self) -> dict[str, Any]:
         """Return the configuration as plain values, for a card or a checkpoint."""

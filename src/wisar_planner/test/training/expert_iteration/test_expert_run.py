@@ -11,9 +11,10 @@ import torch
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import find_model, load_model, save_model
-from wisar_planner.training.algorithms import read_any_config
+from wisar_planner.training.algorithms import last_policy, read_any_config
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.run import ExpertRun
+from wisar_planner.training.records import read_checkpoint, write_checkpoint
 from wisar_planner.training.worlds import WorldDistribution
 
 CPU = torch.device("cpu")
@@ -115,6 +116,25 @@ def test_curves_fly_the_policy_of_a_run_on_a_single_fresh_map(tmp_path, trained,
     trained(dataclasses.replace(TINY, rounds=1), tmp_path)
     assert main(["curves", str(tmp_path), "--fresh-maps", "1"]) == 0
     assert "tiny, from search" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_curves_do_not_need_what_a_run_began_with(tmp_path, trained, capsys, earlier) -> None:
+    """Checkpoints of earlier versions do not tell how turns are distributed."""
+    start, folder = tmp_path / "start.safetensors", tmp_path / "run"
+    policy = load_model(find_model("sac_improved"))
+    save_model(start, policy.weights, policy.card)
+    config = dataclasses.replace(TINY, rounds=1, start=str(start))
+    trained(config, folder)
+    assert last_policy(folder).distribution == policy.distribution
+    if earlier:
+        tensors, counters = read_checkpoint(folder, dataclasses.asdict(config), CPU)
+        del counters["distribution"]
+        write_checkpoint(folder, tensors, counters)
+    start.unlink()
+    assert main(["curves", str(folder), "--fresh-maps", "2"]) == 0
+    assert "% |" in capsys.readouterr().out
+    assert last_policy(folder).distribution == policy.distribution
 
 
 def test_the_command_learns_from_search_and_tells_mistakes_in_one_line(tmp_path, capsys) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import joblib
 import torch
 from torch import Tensor
 
@@ -16,15 +15,16 @@ from wisar_planner.policy.network import forward
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.labels import Labels, lesson
 from wisar_planner.training.imitation_loss import imitation_loss
-from wisar_planner.training.judging import Flights, fly_problem
+from wisar_planner.training.judging import Flights, fly_problems, planned
 from wisar_planner.training.networks import learn, mirrored, optimizer_of
 from wisar_planner.training.policy_run import PolicyRun
 from wisar_planner.training.problems import random_problems
+from wisar_planner.training.processes import in_processes
 from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
 from wisar_planner.training.run import OnProgress
 from wisar_planner.training.worlds import WorldDistribution
 
-# Flights that a process labels, or problems that it flies, at a time.
+# Flights that a process labels at a time.
 _AT_A_TIME = 16
 
 
@@ -53,15 +53,14 @@ class ExpertRun(PolicyRun[ExpertConfig]):
             random_problems(maps, 0, WorldDistribution(), generator),
             random_problems(0, others, worlds, generator),
         )
-        flown = torch.tensor(list(_parallel(fly_problem, ((each, model) for each in problems))))
+        flown = torch.tensor(list(fly_problems(problems, model)))
         efficiency, share = flown[:maps].T
         figures = {"other_worlds": float(flown[maps:, 1].mean())} if others else {}
         return Flights(efficiency, share, figures)
 
     def _model(self) -> Model:
         """Return the present policy as planners fly it."""
-        weights = {name: each.detach().cpu().numpy().copy() for name, each in self.actor.items()}
-        return Model(weights, {"distribution": self._distribution})
+        return planned(self.actor, self._distribution)
 
     def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
         if not self.validations:
@@ -73,7 +72,7 @@ class ExpertRun(PolicyRun[ExpertConfig]):
         c, model, count = self.config, self._model(), len(self.validations)
         lessons = []
         tasks = ((c, model, flights, (c.seed, count, first)) for first, flights in self._batches())
-        for each in _parallel(lesson, tasks):
+        for each in in_processes(lesson, tasks):
             lessons.append(each)
             self.steps += len(each.labels.turn)
             on_progress(self.steps, self.updates)
@@ -135,9 +134,3 @@ class ExpertRun(PolicyRun[ExpertConfig]):
             Labels(*(stored[f"labels.{place}.{name}"].cpu().numpy() for name in Labels._fields))
             for place in range(rounds)
         ]
-
-
-def _parallel(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-    """Yield what a function returns for each tuple of arguments, in their order."""
-    parallel = joblib.Parallel(n_jobs=torch.get_num_threads(), return_as="generator")
-    yield from parallel(joblib.delayed(function)(*task) for task in tasks)

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from wisar_planner.policy.heading import GAUSSIAN
 from wisar_planner.policy.model import save_model
 from wisar_planner.training.ablation import make_environment, make_network
 from wisar_planner.training.judging import Flights, fly_maps
@@ -112,7 +113,7 @@ class SacRun(Run[SacConfig]):
         return found | dict(optimizer_tensors(self.sac.optimizers))
 
     def _counters(self) -> dict[str, Any]:
-        return {"owed": self._owed, "added": self.replay.added}
+        return {"owed": self._owed, "added": self.replay.added, "distribution": GAUSSIAN}
 
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         make_optimizer_tensors(self.sac.optimizers)
