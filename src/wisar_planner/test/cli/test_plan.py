@@ -401,6 +401,10 @@ def test_mistakes_are_said_in_one_line(mixture_file, tmp_path, capsys):
     assert "--speed" in refused(capsys, mixture_file, *sector, "--speed", "0")
     assert "--time-budget" in refused(capsys, mixture_file, *sector, "--time-budget", "nan")
     assert "--budget" in refused(capsys, mixture_file, "--swath-radius", "3")
+    endless = (*DRONE[2:], "--budget", "1e9", "--planner", "sector")
+    assert "1e+09 m in steps of 8 m are 1.25e+08 steps, more than 200,000; give a longer --st" in (
+        refused(capsys, mixture_file, *endless)
+    )
     assert "not allowed with" in refused(capsys, mixture_file, *sector, "--mixture", "--raster")
 
 

@@ -54,6 +54,16 @@ def test_a_goal_that_cannot_fly_one_step_is_refused(planner) -> None:
     assert planner._read_goal(PlanSearch.Goal(budget=25.0)).problem.steps == 1
 
 
+@pytest.mark.parametrize("budget", [1e9, 1e308])
+def test_a_goal_of_far_too_many_steps_is_refused(planner, budget) -> None:
+    with pytest.raises(GoalError, match="give a longer step_length or a smaller budget") as refused:
+        planner._read_goal(PlanSearch.Goal(budget=budget))
+    assert refused.value.code == PlanSearch.Result.INVALID_REQUEST
+    planner.set_parameters([Parameter("max_distance", value=1e9)])
+    with pytest.raises(GoalError, match=r"1e\+09 m in steps of 25 m are 4e\+07 steps, .* max_dist"):
+        planner._read_goal(PlanSearch.Goal())
+
+
 def test_parameters_that_cannot_fly_one_step_leave_the_last_good_plan(planner, monkeypatch) -> None:
     published, said = [], []
     monkeypatch.setattr(planner, "_publish", published.append)

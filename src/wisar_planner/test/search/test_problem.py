@@ -15,6 +15,7 @@ from wisar_planner.search import (
     shaped_reward,
     upper_bound,
 )
+from wisar_planner.search.problem import MOST_STEPS
 
 
 def paper(seed=0, **changes):
@@ -36,6 +37,17 @@ def test_the_papers_problem():
 def test_steps_do_not_suffer_from_rounding():
     assert paper(step_length=0.1, max_distance=0.3).steps == 3
     assert paper(max_distance=7.9).steps == 0
+
+
+def test_a_search_of_far_too_many_steps_is_refused_in_the_users_words():
+    names = {"step": "--step", "budget": "--budget"}
+    paper(step_length=0.01, max_distance=0.01 * MOST_STEPS).check_steps(**names)
+    for endless in (
+        paper(step_length=0.01, max_distance=0.01 * MOST_STEPS + 0.01),
+        paper(step_length=1e-300, max_distance=1e300),
+    ):
+        with pytest.raises(InvalidInput, match="give a longer --step or a smaller --budget"):
+            endless.check_steps(**names)
 
 
 def test_areas():

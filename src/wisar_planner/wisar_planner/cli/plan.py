@@ -200,7 +200,7 @@ def _problem(args: argparse.Namespace, loaded: LoadedMap) -> SearchProblem:
             f"{args.map}: its search area lies around {here}, but its components around {there} "
             "(LAT,LON), so that there is nothing to find; draw the area around them"
         )
-    return SearchProblem(
+    problem = SearchProblem(
         pdm=loaded.pdm,
         area=area,
         start=_start(args.start, area, loaded.frame),
@@ -208,6 +208,8 @@ def _problem(args: argparse.Namespace, loaded: LoadedMap) -> SearchProblem:
         swath_radius=swath_radius,
         max_distance=budget,
     )
+    problem.check_steps(step="--step", budget="--budget")
+    return problem
 
 
 def _start(text: str | None, area: SearchArea, frame: LocalFrame) -> FloatArray:

@@ -400,7 +400,7 @@ class PlannerNode(Node):
         Raises
         ------
         InvalidInput
-            When a value cannot be planned with, or the budget is below one step.
+            When a value cannot be planned with, or the budget is less than one step or far too many.
         """
         chosen = start or parameters.point(self, "start")
         problem = SearchProblem(
@@ -411,8 +411,9 @@ class PlannerNode(Node):
             swath_radius=self.get_parameter("swath_radius").value,
             max_distance=budget if budget != 0.0 else self.get_parameter("max_distance").value,
         )
+        name = "budget" if budget != 0.0 else "max_distance"
+        problem.check_steps(step="step_length", budget=name)
         if problem.steps < 1:
-            name = "budget" if budget != 0.0 else "max_distance"
             raise InvalidInput(
                 f"step_length: {problem.step_length:g} m is longer than the {name} of "
                 f"{problem.max_distance:g} m, so that not one step can be flown; give a shorter "

@@ -13,6 +13,10 @@ from wisar_planner.errors import FloatArray, InvalidInput, finite_array, positiv
 from wisar_planner.pdm import GaussianMixture, ProbabilityMap
 from wisar_planner.search.area import SearchArea
 
+MOST_STEPS = 200_000
+"""Steps of the longest search that a user may ask for, far more than any drone flies in one: what
+asks for more has a wrong unit, and would occupy a planner until all memory is used up."""
+
 
 @dataclass(frozen=True, eq=False)
 class SearchProblem:
@@ -72,6 +76,28 @@ class SearchProblem:
     def steps(self) -> int:
         """Number of whole steps that `max_distance` allows."""
         return math.floor(self.max_distance / self.step_length + 1e-9)
+
+    def check_steps(self, *, step: str, budget: str) -> None:
+        """Refuse a search that no planner ends in a reasonable time.
+
+        Parameters
+        ----------
+        step, budget : str
+            What the user knows `step_length` and `max_distance` by.
+
+        Raises
+        ------
+        InvalidInput
+            When the budget allows more than `MOST_STEPS`.
+        """
+        # In floats: the count may exceed every integer type.
+        count = self.max_distance / self.step_length
+        if count > MOST_STEPS:
+            raise InvalidInput(
+                f"{budget}: {self.max_distance:g} m in steps of {self.step_length:g} m are "
+                f"{count:.7g} steps, more than {MOST_STEPS:,}; give a longer {step} or a smaller "
+                f"{budget}"
+            )
 
     @cached_property
     def probability_in_area(self) -> float:
