@@ -64,6 +64,15 @@ def test_a_goal_of_far_too_many_steps_is_refused(planner, budget) -> None:
         planner._read_goal(PlanSearch.Goal())
 
 
+def test_a_goals_time_is_kept_whatever_number_of_iterations_is_set(planner) -> None:
+    planner.set_parameters([Parameter("lookahead.max_iterations", value=5000)])
+    goal = PlanSearch.Goal(planner="lookahead")
+    assert planner._read_goal(goal).options["max_iterations"] == 5000
+    goal.time_budget = 3.0
+    options = planner._read_goal(goal).options
+    assert (options["time_budget_s"], options["max_iterations"]) == (3.0, 0)
+
+
 def test_parameters_that_cannot_fly_one_step_leave_the_last_good_plan(planner, monkeypatch) -> None:
     published, said = [], []
     monkeypatch.setattr(planner, "_publish", published.append)

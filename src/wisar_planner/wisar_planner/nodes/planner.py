@@ -362,6 +362,8 @@ class PlannerNode(Node):
                 if "time_budget_s" not in known:
                     raise InvalidInput(f"planner {name} takes no time budget: leave it at 0")
                 options["time_budget_s"] = known["time_budget_s"].checked(request.time_budget)
+                if "max_iterations" in known:
+                    options["max_iterations"] = 0  # a number of them would replace the time
         except InvalidInput as error:
             raise GoalError(Result.INVALID_REQUEST, str(error)) from None
         return self._order(located, problem, name, options)
@@ -400,7 +402,7 @@ class PlannerNode(Node):
         Raises
         ------
         InvalidInput
-            When a value cannot be planned with, or the budget is less than one step or far too many.
+            When a value cannot be planned with, or the budget is no step or far too many.
         """
         chosen = start or parameters.point(self, "start")
         problem = SearchProblem(
