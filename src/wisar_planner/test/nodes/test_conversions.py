@@ -169,10 +169,23 @@ def test_a_grid_of_too_many_cells_is_refused_with_a_cell_that_will_do(cell: floa
     raster = RasterMap(np.full((4, 4), 1 / 16), Grid(0.0, 0.0, 500.0, 4, 4))
     area = SearchArea.rectangle(0, 0, 2000, 1000)
     header = conversions.header(0, "map")
-    with pytest.raises(InvalidInput, match=r"cells of at least 0\.707 m"):
+    with pytest.raises(InvalidInput, match=r"cells of at least 0\.708 m"):
         conversions.grid_to_msg(raster, area, cell, header)
     grid = conversions.grid_to_msg(raster, area, 0.7072, header)
     assert 3_990_000 < len(grid.data) < 4_010_000
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(10469, 7777), (1, 2000), (113, 113), (0.5, 9e6), (1e7, 1e7), (1e-3, 1.0)]
+)
+def test_the_cell_that_a_refusal_tells_is_taken(width: float, height: float, monkeypatch) -> None:
+    monkeypatch.setattr(conversions, "LARGEST_GRID", 10_000)  # quick, and rounded as any other
+    raster = RasterMap(np.full((1, 1), 1.0), Grid(0.0, 0.0, max(width, height), 1, 1))
+    area, header = SearchArea.rectangle(0, 0, width, height), conversions.header(0, "map")
+    with pytest.raises(InvalidInput, match="at least") as refused:
+        conversions.grid_to_msg(raster, area, 1e-9, header)
+    cell = float(str(refused.value).split()[-2])
+    assert len(conversions.grid_to_msg(raster, area, cell, header).data) > 9000
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context
 
 import numpy as np
 import shapely
@@ -382,9 +383,12 @@ def grid_to_msg(
             math.sqrt((xmax - xmin) * (ymax - ymin) / LARGEST_GRID),
             max(xmax - xmin, ymax - ymin) / LARGEST_GRID,
         )
+        # Rounded up, and from a hair above against the rounding here: what is told must be taken.
+        up = Context(prec=3, rounding=ROUND_CEILING)
+        told = up.create_decimal_from_float(smallest * (1.0 + 1e-12))
         raise InvalidInput(
             f"a grid of {cell:g} m cells over this area would have {count:.3g} cells, more than "
-            f"{LARGEST_GRID}: choose cells of at least {smallest:.3g} m"
+            f"{LARGEST_GRID}: choose cells of at least {float(told):.3g} m"
         )
     grid = Grid.covering(area.bounds, cell)
     probability = pdm.rasterize(grid)
