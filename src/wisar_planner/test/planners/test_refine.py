@@ -1,20 +1,32 @@
 import numpy as np
 import pytest
 
-from wisar_planner import InvalidInput, SearchPath, make_planner
+from wisar_planner import SearchPath, make_planner
 from wisar_planner.planners.random_kernels import random_state, uniform
-from wisar_planner.planners.refine import Schedule, annealing, refine
+from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, as_path
 from wisar_planner.planners.refine_kernels import _propose
-from wisar_planner.planners.search_raster import COARSE, SearchRaster
+from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
 
 MOVES = 11
 
 
-def test_refined_paths_see_more(paper_problem):
+def annealed(problem, path, iterations, seed):
+    """The path after so many moves on a fine raster."""
+    raster = SearchRaster(problem, FINE, path.waypoints)
+    points = raster.to_cells(path.waypoints)
+    state = random_state(np.random.default_rng(seed))
+    for now in annealing(
+        raster, points, Schedule(), state, iterations=iterations, early_weight=EARLY_WEIGHT
+    ):
+        points = now.points
+    return as_path(problem, raster, points, path.planner)
+
+
+def test_annealed_paths_see_more(paper_problem):
     for seed in range(60, 64):
         problem = paper_problem(seed)
         path = make_planner("greedy").plan(problem)
-        better = refine(problem, path, iterations=5000, rng=np.random.default_rng(seed))
+        better = annealed(problem, path, iterations=5000, seed=seed)
         assert better.seen_probability(problem.pdm) > path.seen_probability(problem.pdm)
         assert problem.area.contains(better.waypoints).all()
         np.testing.assert_array_equal(better.waypoints[0], problem.start)
@@ -24,23 +36,8 @@ def test_refined_paths_see_more(paper_problem):
 def test_no_iterations_give_the_path_itself(paper_problem):
     problem = paper_problem(64)
     path = make_planner("greedy").plan(problem)
-    same = refine(problem, path, iterations=0, rng=np.random.default_rng(0))
-    assert same.seen_probability(problem.pdm) >= path.seen_probability(problem.pdm)
+    same = annealed(problem, path, iterations=0, seed=0)
     np.testing.assert_allclose(same.waypoints, path.waypoints, atol=1e-9)
-
-
-def test_paths_with_other_steps_are_left_alone(paper_problem):
-    problem = paper_problem(65)
-    path = make_planner("lawnmower").plan(problem)
-    assert refine(problem, path, iterations=100, rng=np.random.default_rng(0)) is path
-    hover = SearchPath(problem.start[None], problem.swath_radius)
-    assert refine(problem, hover, iterations=100, rng=np.random.default_rng(0)) is hover
-
-
-def test_unbounded_work_is_refused(paper_problem):
-    problem = paper_problem(66)
-    with pytest.raises(InvalidInput, match="seconds or iterations"):
-        refine(problem, make_planner("greedy").plan(problem), rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("move", range(MOVES))

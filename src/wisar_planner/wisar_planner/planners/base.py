@@ -24,15 +24,12 @@ class PlanProgress:
     efficiency : float
         Probability efficiency e_p of the best path so far, from 0 to 1; an estimate until the
         plan is returned.
-    path : SearchPath or None
-        The best path so far, where the planner has a whole one.
     fraction : float
         Share of the work that is done, from 0 to 1.
     """
 
     elapsed_s: float
     efficiency: float
-    path: SearchPath | None
     fraction: float
 
 

@@ -86,7 +86,6 @@ class Greedy(OptionedPlanner):
                     PlanProgress(
                         elapsed_s=time.monotonic() - began,
                         efficiency=seen.probability / problem.probability_in_area,
-                        path=None,
                         fraction=(step + 1) / problem.steps,
                     )
                 )

@@ -38,7 +38,7 @@ _HUGS = (0.0, 0.1, 0.2)
 _ARRIVALS = (math.nan, *(2.0 * math.pi * k / 8 for k in range(8)))
 # Most places that rollouts fly to first.
 _MOST_TARGETS = 6
-# Paths whose exact seen probability is compared in the end.
+# Paths whose exact seen probability is compared where the search was stopped early.
 _FINALISTS = 3
 # Share of the time that the first paths may take.
 FIRST_SHARE = 0.2
@@ -82,9 +82,10 @@ class Lookahead(OptionedPlanner):
 
     First come rollouts, whole paths that fly straight to one of the peaks of the map (or to none),
     leave it in one of several directions and go on greedily, more or less closely along what they
-    have seen. The best are refined by simulated annealing, see `refine`: many for a short while,
+    have seen. The best are refined by simulated annealing, see `annealing`: many for a short while,
     the best of those for longer, and the last one for the rest of the budget. All this works on
-    rasters; what is returned is the best by its exact seen probability.
+    rasters; only of a search that was stopped before one path was left, the best few are compared
+    by their exact seen probability.
     """
 
     name: ClassVar[str] = "lookahead"
@@ -239,7 +240,7 @@ class Monitor:
             fraction = min(1.0, max(fraction, self.spent()))
             efficiency = self._best / self._probability_in_area
             elapsed = time.monotonic() - self._began
-            self._on_progress(PlanProgress(elapsed, efficiency, None, fraction))
+            self._on_progress(PlanProgress(elapsed, efficiency, fraction))
         self.asked_to_stop()
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wisar_planner.errors import FloatArray, InvalidInput
-from wisar_planner.planners.base import OnProgress, PlanProgress, ShouldStop
+from wisar_planner.errors import FloatArray
 from wisar_planner.planners.cell_vectors import PERIODS
-from wisar_planner.planners.random_kernels import StateArray, random_state
+from wisar_planner.planners.random_kernels import StateArray
 from wisar_planner.planners.refine_kernels import THRESHOLDS, anneal
-from wisar_planner.planners.search_raster import FINE, SearchRaster
+from wisar_planner.planners.search_raster import SearchRaster
 from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
@@ -70,80 +69,6 @@ class Annealed:
     fraction: float
 
 
-def refine(
-    problem: SearchProblem,
-    path: SearchPath,
-    *,
-    seconds: float = math.inf,
-    iterations: int | None = None,
-    rng: np.random.Generator,
-    early_weight: float = EARLY_WEIGHT,
-    on_progress: OnProgress | None = None,
-    should_stop: ShouldStop | None = None,
-) -> SearchPath:
-    """Return a path from the same start that sees at least as much as `path`.
-
-    Simulated annealing (Kirkpatrick et al. 1983) over moves that keep the length of every step:
-    steps are exchanged, reversed, mirrored, relocated or bent within a stretch whose ends stay, and
-    the tail is turned or regrown. A move is judged by the change of coverage it makes on a fine
-    raster, so its cost does not grow with the path.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-        The search problem.
-    path : SearchPath
-        Where to begin: waypoints one step length apart, as from `greedy` or a learned policy.
-    seconds : float
-        Time to spend.
-    iterations : int, optional
-        Number of moves to try. With it the result depends on `rng` alone, not on the machine's
-        speed, as long as `seconds` suffices.
-    rng : numpy.random.Generator
-        Source of randomness.
-    early_weight : float
-        Share of the mean probability seen after 1/8, 3/8 and 3/4 of the path that is added to what
-        the whole path sees, to make its value.
-    on_progress : callable, optional
-        Told the best so far about every 20 ms.
-    should_stop : callable, optional
-        Asked about every 20 ms.
-
-    Returns
-    -------
-    SearchPath
-        The refined path; `path` itself where that sees more by the exact seen probability, or
-        where its steps are not of the problem's length.
-
-    Raises
-    ------
-    InvalidInput
-        When neither `seconds` nor `iterations` bounds the work.
-    """
-    if iterations is None and not math.isfinite(seconds):
-        raise InvalidInput("seconds or iterations must be given; the refinement has no other end")
-    legs = np.diff(path.distances)
-    if len(legs) == 0 or not np.allclose(legs, problem.step_length, rtol=1e-6, atol=0.0):
-        return path
-    began = time.monotonic()
-    raster = SearchRaster(problem, FINE, path.waypoints)
-    points = raster.to_cells(path.waypoints)
-    run = annealing(
-        raster, points, Schedule(), random_state(rng),
-        seconds=seconds, iterations=iterations, early_weight=early_weight,
-    )  # fmt: skip
-    for now in run:
-        points = now.points
-        if on_progress is not None:
-            efficiency = now.probability / problem.probability_in_area
-            elapsed = time.monotonic() - began
-            on_progress(PlanProgress(elapsed, efficiency, None, now.fraction))
-        if should_stop is not None and should_stop():
-            break
-    refined = as_path(problem, raster, points, path.planner)
-    return max(path, refined, key=lambda each: each.seen_probability(problem.pdm))
-
-
 def annealing(
     raster: SearchRaster,
     points: FloatArray,
@@ -155,6 +80,11 @@ def annealing(
     early_weight: float = 0.0,
 ) -> Iterator[Annealed]:
     """Anneal a path in slices.
+
+    Simulated annealing (Kirkpatrick et al. 1983) over moves that keep the length of every step:
+    steps are exchanged, reversed, mirrored, relocated or bent within a stretch whose ends stay, and
+    the tail is turned or regrown. A move is judged by the change of coverage it makes on the
+    raster, so its cost does not grow with the path.
 
     Parameters
     ----------

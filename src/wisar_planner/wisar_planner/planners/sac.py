@@ -57,7 +57,7 @@ class SacPolicy(OptionedPlanner):
             if on_progress is not None:
                 elapsed, fraction = time.monotonic() - began, next(steps) / problem.steps
                 efficiency = float(seen[0]) / problem.probability_in_area
-                on_progress(PlanProgress(elapsed, efficiency, None, fraction))
+                on_progress(PlanProgress(elapsed, efficiency, fraction))
             stopped = should_stop is not None and should_stop()
             return stopped
 
