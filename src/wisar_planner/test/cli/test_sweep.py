@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -7,10 +8,12 @@ from scipy import stats
 
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
+from wisar_planner.evaluation import sweep as sweep_module
 from wisar_planner.evaluation.sweep import Sweep, SweepRecord
 from wisar_planner.evaluation.sweep_report import markdown, save_figures
 from wisar_planner.evaluation.sweep_statistics import summarise
 from wisar_planner.training.paper.config import PaperConfig
+from wisar_planner.training.paper.run import PaperRun
 
 TINY = {
     "algorithm": "paper_sac",
@@ -91,6 +94,49 @@ def test_resumed_file_is_kept_and_gives_the_same_numbers(tmp_path, config, capsy
     other.write_text("a letter\n")
     assert main([*command, "--samples", "1", "--resume", str(other)]) == 2
     assert other.read_text() == "a letter\n"
+
+
+def test_samples_that_diverge_are_told_and_left_out(tmp_path, config, monkeypatch, capsys):
+    """A sweep goes on after them, and from a file that holds them."""
+    command = ["sweep", config, *RANGES, "--samples", "5"]
+    whole, some, kept = (tmp_path / name for name in ("whole.json", "some.json", "kept.jsonl"))
+    assert main([*command, "--json", str(whole)]) == 0
+    assert "Diverged" not in capsys.readouterr().out
+    astray = Sweep(PaperConfig()).sample(2).seed
+
+    class Run(PaperRun):
+        """One of the samples learns far too fast."""
+
+        def __init__(self, config, folder, device):
+            rate = 1e9 if config.seed == astray else config.sac.learning_rate
+            sac = dataclasses.replace(config.sac, learning_rate=rate)
+            super().__init__(dataclasses.replace(config, sac=sac), folder, device)
+
+    monkeypatch.setattr(sweep_module, "PaperRun", Run)
+    for _ in range(2):
+        assert main([*command, "--json", str(some), "--resume", str(kept)]) == 0
+        assert "samples 2." in capsys.readouterr().out
+        found, expected = without_times(some), without_times(whole)
+        assert found["setup"]["samples"] == 4
+        lost = found["samples"].pop(2)
+        assert lost["e_p"] is None
+        assert lost["parameters"] == expected["samples"].pop(2)["parameters"]
+        assert found["samples"] == expected["samples"]
+        sizes, reached = zip(
+            *((each["width"], each["e_p"]) for each in found["samples"]), strict=True
+        )
+        fit = stats.linregress(sizes, reached)
+        assert found["ols"]["width"]["slope"] == pytest.approx(fit.slope, rel=1e-6)
+    assert len(kept.read_text().splitlines()) == 6
+
+
+def test_a_sweep_of_which_all_diverges_ends_in_words(tmp_path, capsys):
+    path, figures = tmp_path / "fast.yaml", tmp_path / "figures"
+    path.write_text(yaml.safe_dump(TINY | {"sac": {"learning_rate": 1e9, "batch": 16}}))
+    command = ["sweep", str(path), *RANGES, "--samples", "2", "--figures", str(figures)]
+    assert main(command) == 0
+    assert "samples 0, 1." in capsys.readouterr().out
+    assert len(list(figures.glob("*.png"))) == 6
 
 
 def test_a_sample_depends_on_seed_and_index_alone():

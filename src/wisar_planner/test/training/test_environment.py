@@ -6,6 +6,7 @@ import shapely
 import torch
 
 from wisar_planner import GaussianMixture, SearchPath
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -37,6 +38,16 @@ def test_searches_stay_in_their_area(distribution, generator):
     assert (
         (environment.position >= environment.low) & (environment.position <= environment.high)
     ).all()
+
+
+@pytest.mark.parametrize("turn", [math.nan, math.inf])
+def test_a_turn_that_is_no_number_is_refused(generator, turn):
+    environment = SearchEnvironment(3, WorldDistribution(), generator)
+    before = {name: each.clone() for name, each in environment.tensors().items()}
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        environment.step(torch.tensor([0.1, turn, 0.2]))
+    for name, each in environment.tensors().items():
+        torch.testing.assert_close(each, before[name], rtol=0.0, atol=0.0, equal_nan=True)
 
 
 def test_searches_end_when_their_budget_is_flown_and_start_anew(generator):

@@ -102,11 +102,16 @@ def run(args: argparse.Namespace) -> int:
     )
     keep = args.resume or (args.json and args.json.with_name(args.json.name + ".samples.jsonl"))
     store = SweepStore(keep, sweep.common_setup()) if keep else None
-    results = summarise(sweep, _with_progress(sweep, args, store))
+    records = _with_progress(sweep, args, store)
+    results = summarise(sweep, [each for each in records if each.e_p is not None])
+    diverged = [str(each.index) for each in records if each.e_p is None]
     table = markdown(results)
+    if diverged:
+        table += f"\nDiverged, and left out of all of this: samples {', '.join(diverged)}.\n"
     print(table, end="")
     if args.json:
-        _write(args.json, json.dumps(results, indent=1, allow_nan=False) + "\n")
+        told = {**results, "samples": [vars(each) for each in records]}
+        _write(args.json, json.dumps(told, indent=1, allow_nan=False) + "\n")
     if args.markdown:
         _write(args.markdown, table)
     if args.figures:
@@ -136,10 +141,11 @@ def _with_progress(
 
         def tell(record: SweepRecord) -> None:
             progress.advance(task)
+            reached = "diverged" if record.e_p is None else f"e_p {record.e_p:.4f}"
             console.print(
                 f"sample {record.index}: {record.layers} x {record.width}, "
                 f"{record.path_features} features by {record.path_extractor}, "
-                f"e_p {record.e_p:.4f} after {record.seconds / 60.0:.1f} min"
+                f"{reached} after {record.seconds / 60.0:.1f} min"
             )
 
         return run_sweep(

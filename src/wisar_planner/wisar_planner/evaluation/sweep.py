@@ -8,7 +8,7 @@ what it chose (8 layers of 2000, 1000 features) and the 8 layers after which mor
 from __future__ import annotations
 
 import dataclasses
-import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +20,7 @@ import torch
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.runner import parallel_pool
 from wisar_planner.evaluation.sweep_store import SweepStore
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.paper.config import PaperConfig
 from wisar_planner.training.paper.network import PATH_EXTRACTORS
 from wisar_planner.training.paper.run import PaperRun
@@ -39,10 +40,10 @@ class SweepRecord:
         Extractor of the path.
     parameters : int
         Parameters of its policy network.
-    e_p, share_of_bound : float
-        Means on the validation maps at the end of the training.
+    e_p, share_of_bound : float or None
+        Means on the validation maps at the end of the training; None where it diverged.
     seconds : float
-        Time of the training, s.
+        Time of the training, s; where it diverged, with that of validations.
     """
 
     index: int
@@ -51,8 +52,8 @@ class SweepRecord:
     path_features: int
     path_extractor: str
     parameters: int
-    e_p: float
-    share_of_bound: float
+    e_p: float | None
+    share_of_bound: float | None
     seconds: float
 
 
@@ -156,13 +157,16 @@ def run_sample(index: int, config: PaperConfig, device: str) -> SweepRecord:
     # One thread, so that a sample gives the same numbers whatever runs beside it.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
+    began = time.monotonic()
     try:
         run = PaperRun(config, None, torch.device(device))
         *_, last = run.train()
+        e_p, share, seconds = last.efficiency, last.share, last.seconds
+    except Diverged:
+        # A result, too: the same sample would diverge again whenever the sweep goes on.
+        e_p, share, seconds = None, None, time.monotonic() - began
     finally:
         torch.set_num_threads(threads)
-    if not (math.isfinite(last.efficiency) and math.isfinite(last.share)):
-        raise ArithmeticError(f"sample {index} ended with an e_p of {last.efficiency}: {config}")
     network = config.network
     return SweepRecord(
         index=index,
@@ -171,9 +175,9 @@ def run_sample(index: int, config: PaperConfig, device: str) -> SweepRecord:
         path_features=network.path_features,
         path_extractor=network.path_extractor,
         parameters=run.learner.parameters,
-        e_p=last.efficiency,
-        share_of_bound=last.share,
-        seconds=last.seconds,
+        e_p=e_p,
+        share_of_bound=share,
+        seconds=seconds,
     )
 
 

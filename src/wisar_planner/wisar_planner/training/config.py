@@ -82,6 +82,13 @@ def check_share(settings: object, *names: str) -> None:
             raise InvalidInput(f"{name} must be from 0 to 1, not {value}")
 
 
+def check_all_finite(settings: object, *names: str) -> None:
+    """Raise InvalidInput where a field has a number that is not finite."""
+    for name in names:
+        if not all(map(math.isfinite, value := getattr(settings, name))):
+            raise InvalidInput(f"{name} must be finite, not {value}")
+
+
 def check_algorithm(found: str, expected: str) -> None:
     """Raise InvalidInput where a configuration is for another algorithm."""
     if found != expected:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from wisar_planner.policy.observation import Observation, observe, reference_density
 from wisar_planner.policy.unseen_map import UnseenMap
+from wisar_planner.training.divergence import check_finite
 from wisar_planner.training.worlds import WorldDistribution, random_worlds
 
 # Turns tried, in this order, where a step would leave the area; the last is a U-turn.
@@ -89,7 +90,13 @@ class SearchEnvironment:
             Probability newly seen over what a step sees on the most probable ground.
         done : (B,) bool
             Which searches ended with this step.
+
+        Raises
+        ------
+        Diverged
+            When a turn is not finite: what the drone saw from nowhere could not be looked up.
         """
+        check_finite("turns of the policy", action)
         wanted = self.heading + math.pi * action
         headings = wanted[:, None] + self._turns
         ends = self.position[:, None, :] + self.unseen.step[:, None, None] * torch.stack(

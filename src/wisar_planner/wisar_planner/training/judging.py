@@ -16,6 +16,7 @@ from wisar_planner.search.bound import upper_bound
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.ablation import make_environment
+from wisar_planner.training.divergence import check_finite
 from wisar_planner.training.processes import in_processes
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -102,6 +103,13 @@ def planned(actor: Mapping[str, Tensor], distribution: str) -> Model:
         Parameters of its network.
     distribution : str
         How its turns are distributed, one of `heading.DISTRIBUTIONS`.
+
+    Raises
+    ------
+    Diverged
+        When a parameter is not finite.
     """
+    for each in actor.values():
+        check_finite("parameters of the policy", each)
     weights = {name: each.detach().cpu().numpy().copy() for name, each in actor.items()}
     return Model(weights, {"distribution": distribution})

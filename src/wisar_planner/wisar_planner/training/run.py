@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 from wisar_planner.errors import InvalidInput
+from wisar_planner.training.divergence import check_finite
 from wisar_planner.training.judging import Flights
 from wisar_planner.training.records import Validation, read_checkpoint, write_checkpoint
 from wisar_planner.training.streams import training_generator, validation_generator
@@ -115,6 +116,11 @@ class Run(ABC, Generic[Config]):
         Validation
             After each validation; the checkpoint and, when it is the best so far, the model are
             written by then.
+
+        Raises
+        ------
+        Diverged
+            When the policy or a loss is no longer finite; what was written last stays.
         """
         log = None
         if self.folder is not None:
@@ -142,6 +148,9 @@ class Run(ABC, Generic[Config]):
             float(flights.efficiency.mean()), float(flights.share.mean()),
             {**figures, **flights.figures},
         )  # fmt: skip
+        told = {"e_p": result.efficiency, "share of the bound": result.share, **result.figures}
+        for name, value in told.items():
+            check_finite(f"values of {name}", torch.tensor(value))
         self.validations.append(result)
         score = self._score(result)
         better = score > self.best_score

@@ -12,6 +12,7 @@ from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.training.algorithms import last_policy, read_any_config
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.run import ExpertRun
 from wisar_planner.training.records import read_checkpoint, write_checkpoint
@@ -116,6 +117,22 @@ def test_curves_fly_the_policy_of_a_run_on_a_single_fresh_map(tmp_path, trained,
     trained(dataclasses.replace(TINY, rounds=1), tmp_path)
     assert main(["curves", str(tmp_path), "--fresh-maps", "1"]) == 0
     assert "tiny, from search" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("updates", [1, 3])
+def test_a_training_that_diverges_ends_in_words(trained, updates) -> None:
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        trained(dataclasses.replace(TINY, rate=1e9, updates=updates), None)
+
+
+def test_a_policy_that_is_no_number_is_not_flown(tmp_path, trained, capsys) -> None:
+    config = dataclasses.replace(TINY, rounds=1)
+    trained(config, tmp_path)
+    tensors, counters = read_checkpoint(tmp_path, dataclasses.asdict(config), CPU)
+    tensors["actor.output"][0] = float("nan")
+    write_checkpoint(tmp_path, tensors, counters)
+    assert main(["curves", str(tmp_path), "--fresh-maps", "1"]) == 2
+    assert "parameters of the policy are not finite" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("earlier", [False, True])

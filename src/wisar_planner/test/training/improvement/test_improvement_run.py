@@ -9,6 +9,7 @@ import torch
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import find_model, load_model
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.improvement.config import ImprovementConfig
 from wisar_planner.training.improvement.run import ImprovementRun
 from wisar_planner.training.worlds import WorldDistribution
@@ -76,6 +77,12 @@ def test_the_command_improves_a_policy_and_tells_mistakes_in_one_line(tmp_path, 
         error = capsys.readouterr().err
         assert words in error
         assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize("rate", ["imitation_rate", "value_rate"])
+def test_a_training_that_diverges_ends_in_words(trained, rate) -> None:
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        trained(dataclasses.replace(TINY, **{rate: 1e9}), None)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path, trained) -> None:

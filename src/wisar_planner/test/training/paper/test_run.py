@@ -163,6 +163,15 @@ def test_wisar_train_runs_it(tmp_path, capsys):
     assert "algorithm must be" in capsys.readouterr().err
 
 
+def test_a_training_that_diverges_ends_in_words(tmp_path, capsys):
+    path = write(tmp_path, sac={**TINY["sac"], "learning_rate": 1e9})
+    assert main(["train", str(path), "--out", str(tmp_path / "out"), "--threads", "1"]) == 2
+    printed = capsys.readouterr()
+    assert "best policy" not in printed.out
+    assert "lower its learning rates" in printed.err
+    assert len(printed.err.splitlines()) == 1
+
+
 def test_throughput_is_measured_and_added_up(tmp_path, capsys):
     assert throughput.main([str(write(tmp_path)), "--seconds", "0"]) == 0
     found = json.loads(capsys.readouterr().out)

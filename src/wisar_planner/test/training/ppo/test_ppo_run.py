@@ -11,6 +11,7 @@ from wisar_planner.cli.main import main
 from wisar_planner.policy.heading import DIRECTED
 from wisar_planner.policy.model import find_model, load_model
 from wisar_planner.training.algorithms import read_any_config
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.run import PpoRun
 from wisar_planner.training.worlds import WorldDistribution
@@ -84,6 +85,12 @@ def test_the_kept_policy_and_its_card_tell_what_it_is(tmp_path, trained):
     assert found["share_of_bound_other_worlds"] == pytest.approx(
         best.figures["other_worlds"], abs=1e-4
     )
+
+
+@pytest.mark.parametrize("rate", ["rate", "value_rate", "imitation_rate"])
+def test_a_training_that_diverges_ends_in_words(trained, rate):
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        trained(dataclasses.replace(TINY, **{rate: 1e9}), None)
 
 
 def test_a_start_of_the_same_kind_and_size_is_taken_over(tmp_path, trained):

@@ -8,6 +8,7 @@ import torch
 from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import load_model
 from wisar_planner.training.algorithms import read_any_config
+from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.sac.run import SacRun
@@ -48,6 +49,31 @@ def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
     assert model.card["config"]["sac"]["channels"] == 4
 
 
+@pytest.mark.parametrize("rate", ["critic_rate", "actor_rate"])
+def test_a_training_that_diverges_ends_in_words(rate) -> None:
+    fast = dataclasses.replace(TINY.sac, **{rate: 1e9})
+    run = SacRun(dataclasses.replace(TINY, sac=fast), None, CPU)
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        list(run.train())
+
+
+@pytest.mark.parametrize("where", ["efficiency", "share", "figures"])
+def test_the_last_good_state_of_a_training_that_diverges_stays(
+    tmp_path, monkeypatch, where
+) -> None:
+    run = SacRun(TINY, tmp_path, CPU)
+    training = run.train()
+    next(training)
+    kept = {path.name: path.read_bytes() for path in tmp_path.glob("*.safetensors")}
+    fly, nothing = run.fly, torch.tensor([float("nan")])
+    lost = {where: {"loss": float("inf")} if where == "figures" else nothing}
+    monkeypatch.setattr(run, "fly", lambda *args: fly(*args)._replace(**lost))
+    with pytest.raises(Diverged, match="lower its learning rates"):
+        next(training)
+    assert set(kept) == {"checkpoint.safetensors", "tiny.safetensors"}
+    assert kept == {path.name: path.read_bytes() for path in tmp_path.glob("*.safetensors")}
+
+
 def test_an_ablation_learns_but_is_not_kept_as_a_model(tmp_path) -> None:
     run = SacRun(dataclasses.replace(TINY, ablation="mlp"), tmp_path, CPU)
     assert [each.updates for each in run.train()] == [9, 24]
@@ -75,6 +101,8 @@ def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path, traine
         ("gamma: 1.5", "gamma must be over 0"),
         ("decay_from: 1.0", "decay_from must be from 0"),
         ("entropy: [1.0]", "entropy must be a list of 2"),
+        ("entropy: [.nan, -1.0]", "entropy must be finite"),
+        ("entropy: [-1.0, -.inf]", "entropy must be finite"),
         ("warm_up_steps: 10", "warm_up_steps must be at least"),
         ("replay: 5000", "replay must be at least twice"),
         ("ablation: everything", "ablation must be one of"),

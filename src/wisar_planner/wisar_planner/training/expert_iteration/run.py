@@ -12,6 +12,7 @@ from torch import Tensor
 
 from wisar_planner.policy.model import Model
 from wisar_planner.policy.network import forward
+from wisar_planner.training.divergence import check_finite
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.labels import Labels, lesson
 from wisar_planner.training.imitation_loss import imitation_loss
@@ -78,7 +79,17 @@ class ExpertRun(PolicyRun[ExpertConfig]):
             on_progress(self.steps, self.updates)
         self._remember(Labels.joined([each.labels for each in lessons]))
         seen, found = (sum(getattr(each, name) for each in lessons) for name in ("seen", "found"))
-        return {"search_brings": found / seen - 1.0, "loss": self._imitate()}
+        loss = self._imitate()
+        self._check_policy()
+        return {"search_brings": found / seen - 1.0, "loss": loss}
+
+    @torch.no_grad()
+    def _check_policy(self) -> None:
+        """Raise Diverged where the policy does not say a number: planners would fly nowhere."""
+        view, numbers = (
+            torch.from_numpy(each[:1]).float().to(self.device) for each in self._rounds[-1][:2]
+        )
+        check_finite("outputs of the policy", forward(self.actor, view, numbers))
 
     def _batches(self) -> Iterator[tuple[int, tuple[int, int]]]:
         """Yield the first flight of each batch of a round, and how many are of either kind.

@@ -12,6 +12,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.observation import reference_density
 from wisar_planner.policy.unseen_map import OUTSIDE, UnseenMap
 from wisar_planner.training.config import check_at_least
+from wisar_planner.training.divergence import check_finite
 from wisar_planner.training.paper.observation import Layout, is_inside, observe
 from wisar_planner.training.worlds import (
     PAPER_DEVIATION,
@@ -145,7 +146,13 @@ class PaperEnvironment:
         -------
         (B,) float32
             The shaped reward r'.
+
+        Raises
+        ------
+        Diverged
+            When a heading is not finite.
         """
+        check_finite("headings of the policy", action)
         task, before = self.task, self.position
         heading = math.pi * (action + 1.0)
         unit = torch.stack([torch.cos(heading), torch.sin(heading)], dim=-1)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.config import (
     check_algorithm,
+    check_all_finite,
     check_at_least,
     check_positive,
     check_share,
@@ -114,5 +114,4 @@ class PpoConfig:
         check_share(self, "trace")
         if not all(0.0 < noise <= 1.0 for noise in self.noise):
             raise InvalidInput(f"noise must be above 0 and at most 1, not {self.noise}")
-        if not all(math.isfinite(weight) for weight in self.entropy):
-            raise InvalidInput(f"entropy must be finite, not {self.entropy}")
+        check_all_finite(self, "entropy")

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from wisar_planner.policy.heading import SPACING, directions_and_offsets, wrapped
+from wisar_planner.training.divergence import check_finite
 
 
 class Turns(NamedTuple):
@@ -41,7 +42,13 @@ def random_turns(output: Tensor, noise: float, generator: torch.Generator) -> Tu
         Standard deviation around the policy's turn in the direction, in units of pi.
     generator : torch.Generator
         Source of randomness.
+
+    Raises
+    ------
+    Diverged
+        When the output is not finite.
     """
+    check_finite("outputs of the policy", output)
     logits, offsets = directions_and_offsets(output)
     direction = torch.multinomial(torch.softmax(logits, dim=-1), 1, generator=generator)
     offset = offsets.gather(1, direction)[:, 0]
