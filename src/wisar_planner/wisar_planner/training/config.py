@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import typing
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,15 @@ def _value(kind: Any, value: Any, where: str) -> Any:
 
 
 # What dataclasses of settings check of themselves.
+
+
+def check_name(name: str) -> None:
+    """Raise InvalidInput where a run's folder cannot hold a model of that name."""
+    if not re.fullmatch(r"[\w-][\w.-]*", name) or name.lower() == "checkpoint":
+        raise InvalidInput(
+            f"name must be made of letters, digits, '.', '_' and '-', begin with no '.' and not be "
+            f"checkpoint, not {name!r}"
+        )
 
 
 def check_at_least(settings: object, **limits: float) -> None:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from wisar_planner.training.config import check_algorithm, check_at_least, check_positive
+from wisar_planner.training.config import (
+    check_algorithm,
+    check_at_least,
+    check_name,
+    check_positive,
+)
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -71,6 +76,7 @@ class ExpertConfig:
 
     def __post_init__(self) -> None:
         check_algorithm(self.algorithm, ALGORITHM)
+        check_name(self.name)
         check_seed(self.seed)
         check_at_least(
             self, rounds=1, flights=1, tries=0, moves=1, early_weight=0.0,

@@ -9,6 +9,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.training.config import (
     check_algorithm,
     check_at_least,
+    check_name,
     check_positive,
     check_share,
 )
@@ -101,6 +102,7 @@ class ImprovementConfig:
 
     def __post_init__(self) -> None:
         check_algorithm(self.algorithm, ALGORITHM)
+        check_name(self.name)
         check_seed(self.seed)
         check_at_least(
             self,

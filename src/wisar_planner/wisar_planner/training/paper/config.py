@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.config import build, check_algorithm, check_at_least, read_fields
+from wisar_planner.training.config import (
+    build,
+    check_algorithm,
+    check_at_least,
+    check_name,
+    read_fields,
+)
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
 from wisar_planner.training.paper.network import NetworkSettings
@@ -70,6 +76,7 @@ class PaperConfig:
 
     def __post_init__(self) -> None:
         check_algorithm(self.algorithm, ALGORITHM)
+        check_name(self.name)
         check_seed(self.seed)
         check_at_least(
             self,

@@ -9,6 +9,7 @@ from wisar_planner.training.config import (
     check_algorithm,
     check_all_finite,
     check_at_least,
+    check_name,
     check_positive,
     check_share,
 )
@@ -96,6 +97,7 @@ class PpoConfig:
 
     def __post_init__(self) -> None:
         check_algorithm(self.algorithm, ALGORITHM)
+        check_name(self.name)
         check_seed(self.seed)
         check_at_least(
             self,

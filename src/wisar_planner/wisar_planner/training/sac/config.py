@@ -6,7 +6,12 @@ from dataclasses import dataclass, field
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.ablation import check_ablation
-from wisar_planner.training.config import check_all_finite, check_at_least, check_positive
+from wisar_planner.training.config import (
+    check_all_finite,
+    check_at_least,
+    check_name,
+    check_positive,
+)
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
@@ -85,6 +90,7 @@ class SacConfig:
         if not 0.0 <= self.decay_from < 1.0:
             raise InvalidInput(f"decay_from must be from 0 to below 1, not {self.decay_from}")
         check_all_finite(self, "entropy")
+        check_name(self.name)
         check_seed(self.seed)
         check_ablation(self.ablation)
         if not 0.0 < self.gamma <= 1.0:

@@ -1,0 +1,34 @@
+"""What the configurations of all algorithms check."""
+
+import pytest
+
+from wisar_planner.errors import InvalidInput
+from wisar_planner.training.algorithms import read_any_config
+
+ALGORITHMS = ("", "improvement", "ppo", "expert_iteration", "paper_sac")
+
+
+@pytest.fixture(params=ALGORITHMS)
+def file(request, tmp_path):
+    """A function that writes a configuration."""
+
+    def write(fields):
+        path = tmp_path / "config.yaml"
+        algorithm = f"algorithm: {request.param}\n" if request.param else ""
+        path.write_text(algorithm + fields)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "name", ["checkpoint", "Checkpoint", "a/b", "../x", ".x", "", "a b", "sac\\n"]
+)
+def test_a_name_that_no_file_of_a_run_can_have_is_refused(file, name) -> None:
+    with pytest.raises(InvalidInput, match="name must be made of"):
+        read_any_config(file(f'name: "{name}"'))
+
+
+@pytest.mark.parametrize("name", ["sac", "paper_sac-2", "v1.2", "checkpoint-2", "größer"])
+def test_other_names_are_taken(file, name) -> None:
+    assert read_any_config(file(f"name: {name}")).name == name
