@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from wisar_planner import make_planner
+from wisar_planner.planners import lookahead
 from wisar_planner.search import upper_bound
 
 
@@ -89,3 +90,10 @@ def test_options_are_described(option):
     from wisar_planner.planners import planner_options
 
     assert option in planner_options("lookahead")
+
+
+def test_asks_to_stop_where_no_rollout_finds_a_way(paper_problem, monkeypatch):
+    tried = []
+    monkeypatch.setattr(lookahead, "rollout", lambda *_: tried.append(1))
+    make_planner("lookahead").plan(paper_problem(33), should_stop=lambda: len(tried) == 2)
+    assert len(tried) == 2

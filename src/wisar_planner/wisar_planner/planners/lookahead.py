@@ -181,7 +181,7 @@ class Lookahead(OptionedPlanner):
     ) -> list[Found]:
         """Return rollouts, the likeliest kinds first: all, or until a share of the time is spent.
 
-        There is one at least, where any finds a way in the area.
+        The first is flown in any case. Those that find no way in the area are left out.
         """
         blocks, block_cells, targets = _blocks(problem, raster)
         start = raster.to_cells(problem.start)
@@ -197,6 +197,8 @@ class Lookahead(OptionedPlanner):
             if complete:
                 found.append(Found(path_value(tally, self.early_weight), points))
                 monitor.report(tally[-1] * raster.unit, 0.0)
+            else:
+                monitor.asked_to_stop()
             if monitor.stopped() or monitor.spent() > until:
                 break
         return found
