@@ -62,6 +62,11 @@ def _value(kind: Any, value: Any, where: str) -> Any:
 # What dataclasses of settings check of themselves.
 
 
+def rounds(count: int, size: int) -> int:
+    """Return how many rounds of a size it takes to reach a count."""
+    return -(-count // size)
+
+
 def check_name(name: str) -> None:
     """Raise InvalidInput where a run's folder cannot hold a model of that name."""
     if not re.fullmatch(r"[\w-][\w.-]*", name) or name.lower() == "checkpoint":

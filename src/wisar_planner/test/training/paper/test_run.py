@@ -55,7 +55,7 @@ def test_the_file_in_config_is_the_papers():
 
 def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
     path = tmp_path / "sac.yaml"
-    path.write_text("steps: 1234")
+    path.write_text("steps: 12345")
     assert isinstance(read_any_config(path, seed=3), SacConfig)
     with pytest.raises(InvalidInput, match="must have `algorithm: paper_sac`"):
         read_paper_config(path)
@@ -73,6 +73,8 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
         ({"seed": -1}, "seed must be at least 0"),
         ({"buffer_size": 0}, "buffer_size must be at least 1"),
         ({"learning_starts": -5}, "learning_starts must not be negative"),
+        ({"learning_starts": 120}, "steps must be more than learning_starts"),
+        ({"train_every": 40}, "steps must be more than learning_starts"),
         ({"train_every": "often"}, "train_every must be of type int"),
         ({"sac": {"learning_rate": 0.0}}, "sac: learning_rate must be finite and above 0"),
         ({"sac": {"tau": 1.5}}, "sac: tau must be over 0 and at most 1"),
@@ -108,6 +110,17 @@ def test_training_is_the_same_for_the_same_seed_alone(tmp_path):
         assert torch.equal(one, other)
     _, other = train(read_paper_config(write(tmp_path), seed=1))
     assert other != validations
+
+
+@pytest.mark.parametrize(
+    ("steps", "starts", "every"), [(1, 0, 1), (25, 24, 3), (25, 40, 11), (49, 59, 5)]
+)
+def test_the_shortest_training_that_is_taken_makes_updates(tmp_path, steps, starts, every):
+    changes = {"steps": steps, "learning_starts": starts, "train_every": every}
+    run, _ = train(read_paper_config(write(tmp_path, **changes)))
+    assert run.updates >= TINY["gradient_steps"]
+    with pytest.raises(InvalidInput, match="steps must be"):
+        read_paper_config(write(tmp_path, **(changes | {"steps": steps - 1})))
 
 
 def test_replay_memory_is_no_larger_than_the_run(tmp_path):

@@ -180,7 +180,8 @@ def test_imitation_comes_near_the_teacher(run, generator):
     ("change", "words"),
     [
         ({"algorithm": "sac"}, "algorithm must be ppo"),
-        ({"steps": 100}, "steps must be at least 120"),
+        ({"steps": 100}, "steps must be at least 121"),
+        ({"steps": 120}, "steps must be at least 121"),
         ({"environments": 0}, "environments must be at least 1"),
         ({"noise": (0.0, 0.1)}, "noise must be above 0"),
         ({"clip": math.inf}, "clip must be above 0 and finite"),

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from wisar_planner.cli.main import main
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import DIRECTED
 from wisar_planner.policy.model import find_model, load_model
 from wisar_planner.training.algorithms import read_any_config
@@ -55,17 +56,46 @@ def test_what_a_checkpoint_keeps_comes_back(tmp_path, trained):
     assert again.best_score == run.best_score
 
 
-def test_the_value_alone_learns_at_first(tmp_path, trained):
+def copies(networks):
+    return {name: each.detach().clone() for name, each in networks.items()}
+
+
+def differ(before, networks) -> bool:
+    return not all(torch.equal(before[name], each) for name, each in networks.items())
+
+
+def test_the_value_alone_learns_at_first():
     """The policy stays as it was imitated until `value_steps` are flown."""
-    long = dataclasses.replace(TINY, value_steps=256)
+    long = dataclasses.replace(TINY, value_steps=128, validation_every=64)
     run = PpoRun(long, None, CPU)
     training = run.train()
     next(training)
-    imitated = {name: each.detach().clone() for name, each in run.actor.items()}
-    value = {name: each.detach().clone() for name, each in run._value.items()}
+    imitated, value = copies(run.actor), copies(run._value)
+    while next(training).steps < 192:
+        pass
+    assert run.steps == 192
+    assert not differ(imitated, run.actor)
+    assert differ(value, run._value)
     list(training)
-    assert all(torch.equal(imitated[name], each) for name, each in run.actor.items())
-    assert not all(torch.equal(value[name], each) for name, each in run._value.items())
+    assert differ(imitated, run.actor)
+
+
+@pytest.mark.parametrize(
+    ("imitation", "value", "steps"), [(64, 64, 129), (60, 30, 97), (60, 2, 65), (1, 1, 33)]
+)
+def test_the_shortest_training_that_is_taken_makes_the_policy_learn(
+    tmp_path, trained, imitation, value, steps
+):
+    """Whether the start is imitated or not."""
+    trained(TINY, tmp_path)
+    config = dataclasses.replace(
+        TINY, steps=steps, imitation_steps=imitation, value_steps=value, validation_every=1
+    )
+    for start in (TINY.start, str(tmp_path / "tiny.safetensors")):
+        run = PpoRun(dataclasses.replace(config, start=start), None, CPU)
+        assert sum("change" in each.figures for each in run.train()) >= 1
+    with pytest.raises(InvalidInput, match=f"steps must be at least {steps}"):
+        dataclasses.replace(config, steps=steps - 1)
 
 
 def test_the_kept_policy_and_its_card_tell_what_it_is(tmp_path, trained):

@@ -49,6 +49,19 @@ def test_the_best_policy_is_kept_with_its_card(tmp_path) -> None:
     assert model.card["config"]["sac"]["channels"] == 4
 
 
+@pytest.mark.parametrize(
+    ("steps", "warm_up", "updates", "made"),
+    [(33, 32, 1.0, 1), (37, 33, 2.5, 2), (45, 32, 0.25, 1)],
+)
+def test_the_shortest_training_that_is_taken_makes_an_update(steps, warm_up, updates, made) -> None:
+    config = dataclasses.replace(TINY, steps=steps, warm_up_steps=warm_up, updates=updates)
+    run = SacRun(config, None, CPU)
+    list(run.train())
+    assert run.updates == made
+    with pytest.raises(InvalidInput, match="nothing would be learned"):
+        dataclasses.replace(config, steps=steps - 1)
+
+
 @pytest.mark.parametrize("rate", ["critic_rate", "actor_rate"])
 def test_a_training_that_diverges_ends_in_words(rate) -> None:
     fast = dataclasses.replace(TINY.sac, **{rate: 1e9})
@@ -104,6 +117,10 @@ def test_a_checkpoint_of_another_run_or_a_broken_one_is_refused(tmp_path, traine
         ("entropy: [.nan, -1.0]", "entropy must be finite"),
         ("entropy: [-1.0, -.inf]", "entropy must be finite"),
         ("warm_up_steps: 10", "warm_up_steps must be at least"),
+        ("steps: 4096", "steps must be more than warm_up_steps"),
+        ("{steps: 4200, warm_up_steps: 4161}", "steps must be more than warm_up_steps"),
+        ("{steps: 4672, updates: 0.1}", "steps must be more than warm_up_steps"),
+        ("{steps: 4097, updates: 1.0e-320}", "steps must be more than warm_up_steps"),
         ("replay: 5000", "replay must be at least twice"),
         ("ablation: everything", "ablation must be one of"),
         ("sac: {channels: 0}", "sac: channels must be at least 1"),

@@ -13,6 +13,7 @@ from wisar_planner.training.config import (
     check_at_least,
     check_name,
     read_fields,
+    rounds,
 )
 from wisar_planner.training.paper.environment import TaskSettings
 from wisar_planner.training.paper.learner import LearnerSettings
@@ -90,6 +91,15 @@ class PaperConfig:
         )
         if self.learning_starts < 0:
             raise InvalidInput(f"learning_starts must not be negative, not {self.learning_starts}")
+        # The last searches are flown to their end.
+        length = self.task.waypoints
+        flown = length * rounds(self.steps, self.environments * length)
+        last_update = flown - flown % self.train_every
+        if self.environments * last_update <= self.learning_starts:
+            raise InvalidInput(
+                f"steps must be more than learning_starts ({self.learning_starts}) by enough for "
+                f"an update, not {self.steps}: nothing would be learned"
+            )
 
 
 def read_paper_config(path: Path, **overrides: Any) -> PaperConfig:

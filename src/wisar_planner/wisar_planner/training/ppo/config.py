@@ -12,6 +12,7 @@ from wisar_planner.training.config import (
     check_name,
     check_positive,
     check_share,
+    rounds,
 )
 from wisar_planner.training.streams import check_seed
 from wisar_planner.training.worlds import WorldDistribution
@@ -103,7 +104,6 @@ class PpoConfig:
             self,
             imitation_steps=1,
             value_steps=1,
-            steps=self.imitation_steps + self.value_steps,
             environments=1,
             window=1,
             batch=1,
@@ -112,8 +112,23 @@ class PpoConfig:
             validation_maps=2,
             validation_every=1,
         )
+        if self.steps <= (most := self._steps_before_learning):
+            raise InvalidInput(
+                f"steps must be at least {most + 1}, as the policy learns from what it gains after "
+                f"imitation_steps and value_steps alone, not {self.steps}"
+            )
         check_positive(self, "rate", "value_rate", "imitation_rate", "clip", "largest_gradient")
         check_share(self, "trace")
         if not all(0.0 < noise <= 1.0 for noise in self.noise):
             raise InvalidInput(f"noise must be above 0 and at most 1, not {self.noise}")
         check_all_finite(self, "entropy")
+
+    @property
+    def _steps_before_learning(self) -> int:
+        """Steps flown before the policy learns from what it gains, the start imitated or not."""
+        window, found = self.window * self.environments, []
+        for imitation in (0, self.imitation_steps):
+            imitated = self.environments * rounds(imitation, self.environments)
+            left = imitation + self.value_steps - imitated
+            found.append(imitated + window * rounds(left, window))
+        return max(found)

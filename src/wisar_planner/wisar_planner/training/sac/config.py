@@ -11,6 +11,7 @@ from wisar_planner.training.config import (
     check_at_least,
     check_name,
     check_positive,
+    rounds,
 )
 from wisar_planner.training.sac.learner import SacSettings
 from wisar_planner.training.streams import check_seed
@@ -99,6 +100,13 @@ class SacConfig:
             raise InvalidInput(
                 f"warm_up_steps must be at least {(self.n_step + 1) * self.environments} for "
                 f"{self.n_step}-step transitions of {self.environments} environments"
+            )
+        # Steps are flown in all environments at once.
+        warm_up = rounds(self.warm_up_steps, self.environments)
+        if (rounds(self.steps, self.environments) - warm_up) * self.updates < 1.0:
+            raise InvalidInput(
+                f"steps must be more than warm_up_steps ({self.warm_up_steps}) by enough for an "
+                f"update, not {self.steps}: nothing would be learned"
             )
         if self.replay < 2 * self.warm_up_steps:
             raise InvalidInput(f"replay must be at least twice warm_up_steps, not {self.replay}")
