@@ -9,6 +9,7 @@ import torch
 from wisar_planner.planners.registry import make_planner
 from wisar_planner.policy.model import find_model, load_model
 from wisar_planner.search.bound import upper_bound
+from wisar_planner.training import worlds as module
 from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.judging import fly_problem
 from wisar_planner.training.problems import random_problems
@@ -53,9 +54,12 @@ def test_a_flight_is_judged_as_the_planner_is(distribution) -> None:
         assert share <= 1.0
 
 
-def test_maps_of_the_papers_setup_are_those_of_an_environment() -> None:
-    """So that policies of all runs are judged on the same; more than other worlds come at once."""
+@pytest.mark.parametrize("at_once", [16, 4096])
+def test_maps_of_the_papers_setup_are_those_of_an_environment(monkeypatch, at_once) -> None:
+    """So that policies of all runs are judged on the same; however many are drawn at once."""
+    monkeypatch.setattr(module, "_AT_ONCE", at_once)
     environment = SearchEnvironment(40, WorldDistribution(), torch.Generator().manual_seed(8))
     problems = list(random_problems(40, 0, WorldDistribution(), torch.Generator().manual_seed(8)))
     starts = np.array([problem.start for problem in problems])
     np.testing.assert_allclose(starts, environment.position.numpy(), atol=1e-4)
+    assert [len(part) for part in module.parts(40)] == ([16, 16, 8] if at_once == 16 else [40])

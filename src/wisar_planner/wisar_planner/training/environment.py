@@ -10,12 +10,10 @@ from torch import Tensor
 from wisar_planner.policy.observation import Observation, observe, reference_density
 from wisar_planner.policy.unseen_map import UnseenMap
 from wisar_planner.training.divergence import check_finite
-from wisar_planner.training.worlds import WorldDistribution, random_worlds
+from wisar_planner.training.worlds import WorldDistribution, parts, random_worlds
 
 # Turns tried, in this order, where a step would leave the area; the last is a U-turn.
 _TURNS = 32
-# Searches that are put into new worlds at once; bounds the memory for it.
-_BEGUN_AT_ONCE = 4096
 
 
 class SearchEnvironment:
@@ -61,8 +59,8 @@ class SearchEnvironment:
         turns = torch.arange(_TURNS + 1, device=device)
         sign = 1.0 - 2.0 * (turns % 2)
         self._turns = sign * torch.ceil(turns / 2.0) * (2.0 * math.pi / _TURNS)
-        for first in range(0, count, _BEGUN_AT_ONCE):
-            self._begin(torch.arange(first, min(first + _BEGUN_AT_ONCE, count), device=device))
+        for part in parts(count):
+            self._begin(torch.arange(part.start, part.stop, device=device))
         if stagger:
             share = torch.rand(count, generator=generator, device=device)
             self.steps_left = torch.clamp(torch.ceil(share * self.steps), min=1.0)

@@ -12,7 +12,7 @@ from wisar_planner.pdm import Grid, RasterMap
 from wisar_planner.policy.unseen_map import BLOCK
 from wisar_planner.search.area import SearchArea
 from wisar_planner.search.problem import SearchProblem
-from wisar_planner.training.worlds import WorldDistribution, Worlds, random_worlds
+from wisar_planner.training.worlds import WorldDistribution, Worlds, parts, random_worlds
 
 # Worlds other than the paper's that are drawn together: their rasters are large.
 _TOGETHER = 16
@@ -26,7 +26,8 @@ def random_problems(
     Parameters
     ----------
     paper : int
-        How many of the paper's setup; those come first, drawn together.
+        How many of the paper's setup; those come first, the ones that as many searches of a
+        `SearchEnvironment` have.
     others : int
         How many of other worlds.
     distribution : WorldDistribution
@@ -34,11 +35,11 @@ def random_problems(
     generator : torch.Generator
         Source of randomness.
     """
-    for share, count, together in ((1.0, paper, paper), (0.0, others, _TOGETHER)):
+    for share, drawn in ((1.0, parts(paper)), (0.0, parts(others, _TOGETHER))):
         kind = dataclasses.replace(distribution, paper_share=share)
-        for first in range(0, count, max(1, together)):
-            worlds = random_worlds(min(together, count - first), kind, generator)
-            for k in range(len(worlds.steps)):
+        for part in drawn:
+            worlds = random_worlds(len(part), kind, generator)
+            for k in range(len(part)):
                 yield _problem(worlds, k)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -120,6 +121,27 @@ PAPER_SIDE = 150.0 / 8.0
 PAPER_DEVIATION = math.sqrt(500.0) / 8.0
 PAPER_RADIUS = 2.5 / 8.0
 PAPER_MODES, PAPER_STEPS = 4, 64
+
+
+# Worlds that are drawn at once, at most; bounds the memory for it.
+_AT_ONCE = 4096
+
+
+def parts(count: int, most: int | None = None) -> Iterator[range]:
+    """Yield the numbers of worlds in parts that are drawn at once.
+
+    Whoever draws as many worlds in the same parts from the same generator draws the same ones.
+
+    Parameters
+    ----------
+    count : int
+        How many worlds.
+    most : int, optional
+        Most worlds of a part; as many as memory is for unless given.
+    """
+    size = most or _AT_ONCE
+    for first in range(0, count, size):
+        yield range(first, min(first + size, count))
 
 
 def random_worlds(
