@@ -40,6 +40,15 @@ def test_searches_stay_in_their_area(distribution, generator):
     ).all()
 
 
+def test_some_heading_stays_inside_the_smallest_area(generator):
+    distribution = WorldDistribution(paper_share=0.0, sides=(2.0, 2.0), radii=(0.05, 1.0))
+    environment = SearchEnvironment(64, distribution, generator)
+    for _ in range(30):
+        environment.step(random_turns(64, generator))
+        now = environment.position
+        assert ((now >= environment.low) & (now <= environment.high)).all()
+
+
 @pytest.mark.parametrize("turn", [math.nan, math.inf])
 def test_a_turn_that_is_no_number_is_refused(generator, turn):
     environment = SearchEnvironment(3, WorldDistribution(), generator)

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -5,8 +6,10 @@ import pytest
 import torch
 
 from wisar_planner import GaussianMixture
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.observation import cells_per_step
 from wisar_planner.policy.unseen_map import BLOCK, OUTSIDE
+from wisar_planner.training.environment import SearchEnvironment
 from wisar_planner.training.worlds import WorldDistribution, _fields, random_worlds
 
 
@@ -45,6 +48,42 @@ def test_worlds_keep_their_bounds(distribution, generator):
     torch.testing.assert_close(radii[paper], torch.full_like(radii[paper], 0.3125))
     sides = (worlds.high - worlds.low)[paper] / worlds.step[paper, None]
     torch.testing.assert_close(sides, torch.full_like(sides, 18.75))
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"sides": (1.0, 1.5)}, "sides must be two rising numbers from 2.0 up"),
+        ({"radii": (0.2, 12.0)}, "radii must leave room for sides of 10 steps, but 12 leaves"),
+        ({"radii": (0.2, 12.0), "sides": (2.0, 3.0)}, r"but 12 leaves 0\.0"),
+        ({"radii": (0.05, 0.06)}, "radii must leave room for sides of 10 steps"),
+    ],
+)
+def test_worlds_that_could_not_keep_their_bounds_are_refused(fields, words) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        WorldDistribution(paper_share=0.5, **fields)
+
+
+def test_the_widest_swaths_that_are_taken_keep_the_bounds_of_their_worlds(generator) -> None:
+    distribution = WorldDistribution(paper_share=0.0, sides=(9.5, 29.0), radii=(11.0, 11.0))
+    with pytest.raises(InvalidInput, match=r"but 11 leaves 9\.5"):
+        dataclasses.replace(distribution, sides=(9.6, 29.0))
+    assert distribution.window <= distribution.side
+    worlds = random_worlds(64, distribution, generator)
+    sides = (worlds.high - worlds.low) / worlds.step[:, None]
+    assert sides.min() >= 9.5 - 1e-4
+    assert (worlds.low >= worlds.radius[:, None] + BLOCK).all()
+    assert (worlds.high <= distribution.side - worlds.radius[:, None] - BLOCK).all()
+
+
+def test_a_world_whose_only_mode_is_drawn_with_a_weight_of_zero_has_one(monkeypatch) -> None:
+    """Which happens once in millions of draws."""
+    monkeypatch.setattr(torch, "rand", lambda *shape, **_: torch.zeros(shape))
+    distribution = WorldDistribution(paper_share=0.0, modes=1)
+    environment = SearchEnvironment(2, distribution, torch.Generator())
+    density = environment.unseen.levels[0]
+    assert torch.isfinite(density).all()
+    assert (density.amax(dim=(1, 2)) > 0.0).all()
 
 
 def test_the_map_counts_within_the_swath_of_the_area_alone(distribution, generator):
