@@ -117,7 +117,8 @@ def fly_window(
     expected = torch.stack(values)
     returns = trace_returns(torch.stack(rewards), torch.stack(dones), expected, config.trace)
     surprise = (returns - expected[:-1]).flatten()
-    advantage = (surprise - surprise.mean()) / surprise.square().mean().sqrt().clamp(min=1e-6)
+    advantage = surprise - surprise.mean()
+    advantage = advantage / advantage.square().mean().sqrt().clamp(min=1e-6)
     view, numbers = (torch.cat(each) for each in zip(*states, strict=True))
     direction, deviation = (torch.cat(each) for each in zip(*turns, strict=True))
     return Experience(
