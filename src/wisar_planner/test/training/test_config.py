@@ -3,9 +3,7 @@
 import pytest
 
 from wisar_planner.errors import InvalidInput
-from wisar_planner.training.algorithms import read_any_config
-
-ALGORITHMS = ("", "improvement", "ppo", "expert_iteration", "paper_sac")
+from wisar_planner.training.algorithms import ALGORITHMS, read_any_config
 
 
 @pytest.fixture(params=ALGORITHMS)
@@ -32,3 +30,11 @@ def test_a_name_that_no_file_of_a_run_can_have_is_refused(file, name) -> None:
 @pytest.mark.parametrize("name", ["sac", "paper_sac-2", "v1.2", "checkpoint-2", "größer"])
 def test_other_names_are_taken(file, name) -> None:
     assert read_any_config(file(f"name: {name}")).name == name
+
+
+@pytest.mark.parametrize("algorithm", ["dqn", "", "[ppo]", "'sac'", "{}", "3"])
+def test_an_unknown_algorithm_is_refused(tmp_path, algorithm) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(f"algorithm: {algorithm}")
+    with pytest.raises(InvalidInput, match="algorithm must be improvement or ppo or"):
+        read_any_config(path)

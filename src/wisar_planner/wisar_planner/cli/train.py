@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wisar_planner.training.algorithms import AnyRun
     from wisar_planner.training.records import Validation
+    from wisar_planner.training.run import Run
 
 _EXAMPLES = """\
 examples:
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(training: AnyRun) -> None:
+def _follow(training: Run[Any]) -> None:
     """Train with a progress bar and a line for each validation."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

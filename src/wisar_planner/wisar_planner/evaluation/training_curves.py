@@ -22,7 +22,7 @@ from matplotlib.ticker import (
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.palette import looks
-from wisar_planner.training.algorithms import last_policy, load_run
+from wisar_planner.training.algorithms import algorithm_of, last_policy, load_run
 from wisar_planner.training.judging import fly_problems
 from wisar_planner.training.problems import random_problems
 from wisar_planner.training.records import Validation, read_counters
@@ -31,8 +31,6 @@ from wisar_planner.training.worlds import WorldDistribution
 
 #: Mean probability efficiency on the paper's setup that a training is timed to.
 GOAL = 0.28
-# What a policy is called that was made from another by an algorithm.
-_IMPROVED_BY = {"improvement": "improved", "ppo": "ppo", "expert_iteration": "from search"}
 
 
 @dataclass(frozen=True)
@@ -83,14 +81,15 @@ def read_curve(folder: Path) -> TrainingCurve:
     Raises
     ------
     InvalidInput
-        When the folder holds no checkpoint that can be read, or none with a validation.
+        When the folder holds no checkpoint that can be read, none with a validation, or one of an
+        unknown algorithm.
     """
     counters = read_counters(folder)
     config = counters["config"]
     # An improvement begins where another training ended: it is a line of its own.
     parts = [
         config["name"],
-        _IMPROVED_BY.get(config.get("algorithm", ""), ""),
+        algorithm_of(config, str(folder)).words,
         config.get("ablation", "").replace("_", " "),
     ]
     return TrainingCurve(

@@ -29,23 +29,24 @@ from wisar_planner.policy.observation import (
     Observation,
 )
 from wisar_planner.training.environment import SearchEnvironment
+from wisar_planner.training.networks import Networks, make_networks
 from wisar_planner.training.worlds import WorldDistribution
 
 _WIDTH = 256
 
 
 class Network(NamedTuple):
-    """How to make a network's parameters, as `network.initial_parameters`, and how to use them."""
+    """How to make networks, as `networks.make_networks`, and how to use them."""
 
-    initial: Callable[..., dict[str, npt.NDArray[np.float32]]]
+    make: Callable[..., Networks]
     forward: Callable[[Parameters, Tensor, Tensor], Tensor]
 
 
 def make_network(ablation: str) -> Network:
     """Return the network of an ablation: the ring network, but for `mlp`."""
     if ablation == "mlp":
-        return Network(_mlp_parameters, _mlp)
-    return Network(network.initial_parameters, network.forward)
+        return Network(_make_mlps, _mlp)
+    return Network(make_networks, network.forward)
 
 
 def make_environment(
@@ -121,18 +122,24 @@ def check_ablation(name: str) -> None:
         raise InvalidInput(f"ablation must be one of {', '.join(ABLATIONS[1:])}, not {name!r}")
 
 
-def _mlp_parameters(
-    rng: np.random.Generator, *, networks: int, outputs: int, channels: int, blocks: int
-) -> dict[str, npt.NDArray[np.float32]]:
-    """Return random parameters of a perceptron with two hidden layers, as the paper's kind."""
+def _make_mlps(
+    rng: np.random.Generator,
+    *,
+    networks: int,
+    channels: int,
+    blocks: int,
+    device: torch.device,
+    outputs: int = 1,
+) -> Networks:
+    """Return random perceptrons with two hidden layers, as the paper's kind, side by side."""
     widths = [DIRECTIONS * VIEW_WIDTH + NUMBERS, _WIDTH, _WIDTH, outputs * DIRECTIONS]
     parameters = {}
     for i, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
         scale = math.sqrt(2.0 / fan_in) * (0.1 if i == 2 else 1.0)
         weights = scale * rng.standard_normal((networks, fan_in, fan_out))
-        parameters[f"weights{i}"] = weights.astype(np.float32)
-        parameters[f"bias{i}"] = np.zeros((networks, 1, fan_out), dtype=np.float32)
-    return parameters
+        parameters[f"weights{i}"] = torch.tensor(weights, dtype=torch.float32)
+        parameters[f"bias{i}"] = torch.zeros(networks, 1, fan_out)
+    return {k: each.to(device).requires_grad_() for k, each in parameters.items()}
 
 
 def _mlp(parameters: Parameters, view: Tensor, numbers: Tensor) -> Tensor:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -24,26 +25,69 @@ from wisar_planner.training.ppo import config as ppo
 from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.ppo.run import PpoRun
 from wisar_planner.training.records import read_counters, read_tensors
-from wisar_planner.training.run import Run
+from wisar_planner.training.run import Run, RunConfig
 from wisar_planner.training.sac.config import SacConfig
 from wisar_planner.training.sac.run import SacRun
 
-Config = SacConfig | ImprovementConfig | PpoConfig | ExpertConfig | PaperConfig
-AnyRun = (
-    Run[SacConfig] | Run[ImprovementConfig] | Run[PpoConfig] | Run[ExpertConfig] | Run[PaperConfig]
-)
 
-_CONFIGS: dict[
-    str, type[ImprovementConfig] | type[PpoConfig] | type[ExpertConfig] | type[PaperConfig]
-] = {
-    improvement.ALGORITHM: ImprovementConfig,
-    ppo.ALGORITHM: PpoConfig,
-    expert_iteration.ALGORITHM: ExpertConfig,
-    paper.ALGORITHM: PaperConfig,
+class Algorithm(NamedTuple):
+    """A way to train.
+
+    Attributes
+    ----------
+    config : type
+        Its configurations, a dataclass.
+    run : type
+        Its runs.
+    words : str
+        What tells a policy that was made so from one of the same name by another algorithm.
+    planned : bool
+        Whether planners can fly its policies.
+    """
+
+    config: type[RunConfig]
+    run: Callable[[Any, Path, torch.device], Run[Any]]
+    words: str = ""
+    planned: bool = True
+
+
+#: By what the field `algorithm` of a configuration says; without it, it is for the first.
+ALGORITHMS = {
+    "": Algorithm(SacConfig, SacRun),
+    improvement.ALGORITHM: Algorithm(ImprovementConfig, ImprovementRun, "improved"),
+    ppo.ALGORITHM: Algorithm(PpoConfig, PpoRun, "ppo"),
+    expert_iteration.ALGORITHM: Algorithm(ExpertConfig, ExpertRun, "from search"),
+    paper.ALGORITHM: Algorithm(PaperConfig, PaperRun, planned=False),
 }
 
 
-def read_any_config(path: Path, **overrides: Any) -> Config:
+def algorithm_of(config: Mapping[str, Any], where: str) -> Algorithm:
+    """Return the algorithm that a configuration of plain values is for.
+
+    Parameters
+    ----------
+    config : mapping
+        The configuration.
+    where : str
+        Where it stands, for the message.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no such algorithm.
+    """
+    named = [name for name in ALGORITHMS if name]
+    if "algorithm" not in config:
+        return ALGORITHMS[""]
+    if config["algorithm"] not in named:
+        raise InvalidInput(
+            f"{where}: algorithm must be {' or '.join(named)}, or left out for soft actor-critic, "
+            f"not {config['algorithm']!r}"
+        )
+    return ALGORITHMS[config["algorithm"]]
+
+
+def read_any_config(path: Path, **overrides: Any) -> RunConfig:
     """Return the configuration in a YAML file, of the algorithm that the file names.
 
     Parameters
@@ -63,18 +107,12 @@ def read_any_config(path: Path, **overrides: Any) -> Config:
     return _make_config({**read_fields(path), **overrides}, str(path))
 
 
-def _make_config(content: dict[str, Any], where: str) -> Config:
-    if "algorithm" in content and content["algorithm"] not in _CONFIGS:
-        raise InvalidInput(
-            f"{where}: algorithm must be {' or '.join(_CONFIGS)}, or left out for soft "
-            f"actor-critic, not {content['algorithm']!r}"
-        )
-    kind = _CONFIGS[content["algorithm"]] if "algorithm" in content else SacConfig
-    config: Config = build(kind, content, where)
+def _make_config(content: dict[str, Any], where: str) -> RunConfig:
+    config: RunConfig = build(algorithm_of(content, where).config, content, where)
     return config
 
 
-def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
+def make_run(config: RunConfig, folder: Path, device: torch.device) -> Run[Any]:
     """Return the run of a configuration, at its beginning.
 
     Parameters
@@ -91,18 +129,10 @@ def make_run(config: Config, folder: Path, device: torch.device) -> AnyRun:
     InvalidInput
         When a policy that the configuration starts from cannot be loaded.
     """
-    if isinstance(config, PaperConfig):
-        return PaperRun(config, folder, device)
-    if isinstance(config, PpoConfig):
-        return PpoRun(config, folder, device)
-    if isinstance(config, ExpertConfig):
-        return ExpertRun(config, folder, device)
-    if isinstance(config, ImprovementConfig):
-        return ImprovementRun(config, folder, device)
-    return SacRun(config, folder, device)
+    return ALGORITHMS[getattr(config, "algorithm", "")].run(config, folder, device)
 
 
-def load_run(folder: Path, device: torch.device) -> AnyRun:
+def load_run(folder: Path, device: torch.device) -> Run[Any]:
     """Return the run that left a checkpoint in a folder, to fly its last policy.
 
     Raises
@@ -128,7 +158,7 @@ def last_policy(folder: Path) -> Model | None:
     """
     counters = read_counters(folder)
     config = counters["config"]
-    if config.get("ablation") or config.get("algorithm") == paper.ALGORITHM:
+    if config.get("ablation") or not algorithm_of(config, str(folder)).planned:
         return None
     distribution = counters.get("distribution")
     if distribution is None:  # Earlier checkpoints leave that to the card of the best policy.

@@ -97,6 +97,13 @@ def check_share(settings: object, *names: str) -> None:
             raise InvalidInput(f"{name} must be from 0 to 1, not {value}")
 
 
+def check_positive_share(settings: object, *names: str) -> None:
+    """Raise InvalidInput where a field is not over 0 and at most 1."""
+    for name in names:
+        if not 0.0 < (value := getattr(settings, name)) <= 1.0:
+            raise InvalidInput(f"{name} must be over 0 and at most 1, not {value}")
+
+
 def check_all_finite(settings: object, *names: str) -> None:
     """Raise InvalidInput where a field has a number that is not finite."""
     for name in names:

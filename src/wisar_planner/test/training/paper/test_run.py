@@ -76,7 +76,7 @@ def test_a_file_that_names_no_algorithm_is_for_the_shipped_policy(tmp_path):
         ({"learning_starts": 120}, "steps must be more than learning_starts"),
         ({"train_every": 40}, "steps must be more than learning_starts"),
         ({"train_every": "often"}, "train_every must be of type int"),
-        ({"sac": {"learning_rate": 0.0}}, "sac: learning_rate must be finite and above 0"),
+        ({"sac": {"learning_rate": 0.0}}, "sac: learning_rate must be above 0 and finite"),
         ({"sac": {"tau": 1.5}}, "sac: tau must be over 0 and at most 1"),
         ({"sac": {"batch": 0}}, "sac: batch must be at least 1"),
         ({"task": {"waypoints": 0}}, "task: waypoints must be at least 1"),

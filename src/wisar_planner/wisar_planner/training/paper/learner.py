@@ -9,13 +9,12 @@ actions, one learning rate for all.
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from wisar_planner.errors import InvalidInput
+from wisar_planner.training.config import check_at_least, check_positive, check_positive_share
 from wisar_planner.training.paper.network import Actor, Critics, NetworkSettings
 from wisar_planner.training.paper.observation import Layout
 from wisar_planner.training.paper.replay import Batch
@@ -46,17 +45,9 @@ class LearnerSettings:
     gamma: float = 0.99
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0.0):
-            raise InvalidInput(
-                f"learning_rate must be finite and above 0, not {self.learning_rate}"
-            )
-        if not self.batch >= 1:
-            raise InvalidInput(f"batch must be at least 1, not {self.batch}")
-        for name in ("tau", "gamma"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise InvalidInput(
-                    f"{name} must be over 0 and at most 1, not {getattr(self, name)}"
-                )
+        check_positive(self, "learning_rate")
+        check_at_least(self, batch=1)
+        check_positive_share(self, "tau", "gamma")
 
 
 class Learner:

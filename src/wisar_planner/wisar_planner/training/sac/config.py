@@ -11,6 +11,7 @@ from wisar_planner.training.config import (
     check_at_least,
     check_name,
     check_positive,
+    check_positive_share,
     rounds,
 )
 from wisar_planner.training.sac.learner import SacSettings
@@ -94,8 +95,7 @@ class SacConfig:
         check_name(self.name)
         check_seed(self.seed)
         check_ablation(self.ablation)
-        if not 0.0 < self.gamma <= 1.0:
-            raise InvalidInput(f"gamma must be over 0 and at most 1, not {self.gamma}")
+        check_positive_share(self, "gamma")
         if self.warm_up_steps < (self.n_step + 1) * self.environments:
             raise InvalidInput(
                 f"warm_up_steps must be at least {(self.n_step + 1) * self.environments} for "

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.heading import ACTOR_OUTPUTS, actor_distribution, value_at
 from wisar_planner.policy.observation import Observation
 from wisar_planner.training import squashed_gaussian
 from wisar_planner.training.ablation import Network, make_network
-from wisar_planner.training.config import check_at_least, check_positive
+from wisar_planner.training.config import check_at_least, check_positive, check_positive_share
 from wisar_planner.training.sac.replay import Batch
 
 
@@ -54,8 +54,7 @@ class SacSettings:
     def __post_init__(self) -> None:
         check_at_least(self, channels=1, blocks=1, action_samples=1)
         check_positive(self, "critic_rate", "actor_rate", "temperature_rate", "least_temperature")
-        if not 0.0 < self.tau <= 1.0:
-            raise InvalidInput(f"tau must be over 0 and at most 1, not {self.tau}")
+        check_positive_share(self, "tau")
 
 
 class Sac:
@@ -82,22 +81,12 @@ class Sac:
     ) -> None:
         self.settings = settings
         self._network = network or make_network("")
-
-        def parameters(networks: int, outputs: int) -> dict[str, Tensor]:
-            made = self._network.initial(
-                rng,
-                networks=networks,
-                outputs=outputs,
-                channels=settings.channels,
-                blocks=settings.blocks,
-            )
-            return {
-                name: torch.tensor(value, device=device, requires_grad=True)
-                for name, value in made.items()
-            }
-
-        self.actor = parameters(1, ACTOR_OUTPUTS)
-        self.critics = parameters(2, 1)
+        make = partial(
+            self._network.make, rng, channels=settings.channels, blocks=settings.blocks,
+            device=device,
+        )  # fmt: skip
+        self.actor = make(networks=1, outputs=ACTOR_OUTPUTS)
+        self.critics = make(networks=2)
         self.targets = {name: value.detach().clone() for name, value in self.critics.items()}
         self.log_temperature = torch.tensor(math.log(0.02), device=device, requires_grad=True)
         self.optimizers = {

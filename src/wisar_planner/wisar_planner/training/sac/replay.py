@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from wisar_planner.policy.network import MIRROR
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH, Observation
+from wisar_planner.training.networks import mirrored
 
 
 class Batch(NamedTuple):
@@ -98,20 +98,13 @@ class Replay:
             row = (first + i) % self._rows
             reward += discount * self._reward[row, search]
             discount = discount * self._gamma * ~self._done[row, search]
-        # Mirrored, the directions run the other way round; the first stays.
-        mirrored = torch.rand(size, generator=generator, device=device) < 0.5
-        ring = torch.arange(DIRECTIONS, device=device)
-        order = torch.where(mirrored[:, None], torch.as_tensor(MIRROR, device=device), ring)
-        action = self._action[first, search]
+        flip = torch.rand(size, generator=generator, device=device) < 0.5
         last = (first + self._n_step) % self._rows
-        return Batch(
-            self._observation(first, search, order),
-            torch.where(mirrored, -action, action),
-            reward,
-            self._observation(last, search, order),
-            discount,
-        )
+        now, action = self._mirrored(first, search, flip)
+        later, _ = self._mirrored(last, search, flip)
+        return Batch(now, action, reward, later, discount)
 
-    def _observation(self, row: Tensor, search: Tensor, order: Tensor) -> Observation:
-        view = self._view[row[:, None], search[:, None], order]
-        return Observation(view.float(), self._numbers[row, search])
+    def _mirrored(self, row: Tensor, search: Tensor, flip: Tensor) -> tuple[Observation, Tensor]:
+        """Return what searches showed and their actions then, some of them mirrored."""
+        view, action = mirrored(self._view[row, search], self._action[row, search], flip)
+        return Observation(view.float(), self._numbers[row, search]), action
