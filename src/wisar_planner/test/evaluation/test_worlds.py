@@ -112,6 +112,8 @@ def test_real_maps_are_a_world_each_and_missing_ones_are_said(tmp_path):
     file = tmp_path / "worlds.yaml"
     assert chosen(file, "real") == ["real a", "real b"]
     assert chosen(file, "real b") == ["real b"]
+    with pytest.raises(InvalidInput, match="two worlds are called 'real a'"):
+        worlds_of(tmp_path, text.replace("}}", "}, real a: {}}"))
 
 
 def test_what_is_wrong_with_a_map_is_said_with_its_world_and_file(tmp_path):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -309,6 +310,10 @@ def read_worlds(path: Path, maps: Path | None = None) -> list[World]:
             # Maps, areas and scenarios do not know for which world they are made.
             text = str(error)
             raise InvalidInput(text if text.startswith(where) else f"{where}: {text}") from None
+    for name, count in Counter(world.name for world in worlds).items():
+        # A file may give a world the name of another entry; their results would be mixed up.
+        if count > 1:
+            raise InvalidInput(f"{path}: two worlds are called {name!r}; rename one")
     return worlds
 
 
