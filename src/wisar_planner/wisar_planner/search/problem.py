@@ -13,9 +13,9 @@ from wisar_planner.errors import FloatArray, InvalidInput, finite_array, positiv
 from wisar_planner.pdm import GaussianMixture, ProbabilityMap
 from wisar_planner.search.area import SearchArea
 
+#: Steps of the longest search that a user may ask for, far more than any drone flies in one: what
+#: asks for more has a wrong unit, and would occupy a planner until all memory is used up.
 MOST_STEPS = 200_000
-"""Steps of the longest search that a user may ask for, far more than any drone flies in one: what
-asks for more has a wrong unit, and would occupy a planner until all memory is used up."""
 
 
 @dataclass(frozen=True, eq=False)
