@@ -4,6 +4,8 @@ import pytest
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.training.algorithms import ALGORITHMS, read_any_config
+from wisar_planner.training.config import build
+from wisar_planner.training.expert_iteration.config import ExpertConfig
 
 
 @pytest.fixture(params=ALGORITHMS)
@@ -38,3 +40,10 @@ def test_an_unknown_algorithm_is_refused(tmp_path, algorithm) -> None:
     path.write_text(f"algorithm: {algorithm}")
     with pytest.raises(InvalidInput, match="algorithm must be improvement or ppo or"):
         read_any_config(path)
+
+
+def test_a_list_of_any_length_is_taken_and_its_values_are_checked() -> None:
+    assert build(ExpertConfig, {"labels": ["a", "b", "c"]}, "file").labels == ("a", "b", "c")
+    for wrong in ("a", [1]):
+        with pytest.raises(InvalidInput, match="file: labels must be"):
+            build(ExpertConfig, {"labels": wrong}, "file")

@@ -49,7 +49,11 @@ def _value(kind: Any, value: Any, where: str) -> Any:
         return build(typing.cast(type[Any], kind), value, where)
     if typing.get_origin(kind) is tuple:
         kinds = typing.get_args(kind)
-        if not isinstance(value, list | tuple) or len(value) != len(kinds):
+        if not isinstance(value, list | tuple):
+            raise InvalidInput(f"{where} must be a list, not {value!r}")
+        if kinds[-1] is Ellipsis:
+            kinds = (kinds[0],) * len(value)
+        if len(value) != len(kinds):
             raise InvalidInput(f"{where} must be a list of {len(kinds)} numbers, not {value!r}")
         return tuple(_value(k, v, where) for k, v in zip(kinds, value, strict=True))
     if kind is float and isinstance(value, int) and not isinstance(value, bool):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -19,6 +20,8 @@ Policy = Callable[[Observation], Tensor]
 
 # Values are tens of steps over the most probable ground, outputs of networks are near one.
 _VALUE_SCALE = 10.0
+# Deviation of what is added to the copies of channels, in those of the weights.
+_SPLIT = 0.01
 # Turns that may replace the policy's own, as deviations to either side, degrees.
 _FAN = (8.0, 14.0, 20.0, 27.0, 35.0, 45.0, 60.0, 90.0)
 
@@ -37,6 +40,42 @@ def make_networks(
         rng, networks=networks, outputs=outputs, channels=channels, blocks=blocks
     )
     return {k: torch.tensor(v, device=device, requires_grad=True) for k, v in made.items()}
+
+
+def widened(
+    weights: Mapping[str, npt.NDArray[np.float32]], channels: int, rng: np.random.Generator
+) -> dict[str, npt.NDArray[np.float32]]:
+    """Return ring networks that say about the same as others and have more channels to learn with.
+
+    Channels are copied, and what reads them is shared out among the copies (Chen et al. 2016,
+    "Net2Net", section 2.2). A little noise makes the copies learn different things: Adam would take
+    the same steps for all.
+
+    Parameters
+    ----------
+    weights : mapping of str to float32 arrays
+        See `network.forward`.
+    channels : int
+        Channels wanted, at least as many as there are.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
+    before = weights["view"].shape[1]
+    if channels == before:
+        return dict(weights)
+    source = np.arange(channels) % before
+    # Unequal shares, so that copies differ from the beginning.
+    drawn = rng.uniform(0.5, 1.5, channels)
+    share = (drawn / np.bincount(source, drawn)[source]).astype(np.float32)
+    wider = {}
+    for name, value in weights.items():
+        wide = value if name.startswith("output") else value[:, source]
+        if name.startswith("mix") or name == "output":
+            wide = wide[:, :, source] * share
+        if "bias" not in name:
+            wide = wide + _SPLIT * value.std() * rng.standard_normal(wide.shape)
+        wider[name] = wide.astype(np.float32)
+    return wider
 
 
 def likeliest_turn(actor: Mapping[str, Tensor], distribution: str, shown: Observation) -> Tensor:

@@ -15,6 +15,7 @@ from wisar_planner.training.algorithms import last_policy, read_any_config
 from wisar_planner.training.divergence import Diverged
 from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.run import ExpertRun
+from wisar_planner.training.ppo.config import PpoConfig
 from wisar_planner.training.records import read_checkpoint, write_checkpoint
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -51,6 +52,64 @@ def test_the_latest_rounds_are_remembered(tmp_path, trained) -> None:
     run = trained(TINY, tmp_path)
     assert len(run._rounds) == 2
     assert sum(len(each.turn) for each in run._rounds) < run.steps
+
+
+def test_a_wider_policy_says_about_the_same_and_has_more_to_learn_with() -> None:
+    """Flights of `sac` with 96 channels, on average those of `sac`; all channels learn apart."""
+    start = ExpertRun(TINY, None, CPU)
+    wide = ExpertRun(dataclasses.replace(TINY, channels=96), None, CPU)
+    assert {name: each.shape[1] for name, each in wide.actor.items() if name == "mix0"} == {
+        "mix0": 96
+    }
+    shares = [
+        run.fly(40, torch.Generator().manual_seed(2)).share.mean().item() for run in (start, wide)
+    ]
+    assert shares[1] == pytest.approx(shares[0], abs=0.01)
+    copies = np.corrcoef(wide.actor["view"][0].detach().numpy())[np.arange(32), np.arange(64, 96)]
+    assert (copies > 0.99).all()
+    assert (copies < 1.0 - 1e-6).all()
+
+
+def test_a_policy_is_not_made_narrower() -> None:
+    with pytest.raises(InvalidInput, match="channels: sac has 64, more than 32"):
+        ExpertRun(dataclasses.replace(TINY, channels=32), None, CPU)
+
+
+def test_labels_of_earlier_runs_are_remembered_the_latest_the_longest(tmp_path, trained) -> None:
+    """Two runs of two and one rounds; then the first own round displaces the oldest."""
+    first = trained(dataclasses.replace(TINY, rounds=2), tmp_path / "first")
+    second = trained(dataclasses.replace(TINY, rounds=1, seed=1), tmp_path / "second")
+    config = dataclasses.replace(
+        TINY, seed=2, rounds=1, remembered_flights=12,
+        labels=(str(tmp_path / "first"), str(tmp_path / "second")),
+    )  # fmt: skip
+    run = ExpertRun(config, tmp_path / "run", CPU)
+    training = run.train()
+    next(training)
+    expected = [*first._rounds, second._rounds[0]]
+    assert [each.turn.tolist() for each in run._rounds] == [each.turn.tolist() for each in expected]
+    list(training)
+    assert [each.turn.tolist() for each in run._rounds[:2]] == [
+        each.turn.tolist() for each in expected[1:]
+    ]
+    assert len(run._rounds) == 3
+
+
+def test_labels_must_be_those_of_a_run(tmp_path, trained) -> None:
+    def reason(folder: Path) -> str:
+        run = ExpertRun(dataclasses.replace(TINY, labels=(str(folder),)), None, CPU)
+        with pytest.raises(InvalidInput) as caught:
+            next(run.train())
+        return str(caught.value)
+
+    assert "cannot be read" in reason(tmp_path / "none")
+    tiny = PpoConfig(
+        name="tiny", start="sac_improved", steps=192, imitation_steps=64, value_steps=64,
+        environments=8, window=4, batch=16, channels=4, blocks=1, validation_maps=2,
+        validation_every=128,
+    )  # fmt: skip
+    trained(tiny, tmp_path / "ppo")
+    assert "is no run of expert iteration" in reason(tmp_path / "ppo")
 
 
 def test_what_search_does_becomes_likelier(trained) -> None:

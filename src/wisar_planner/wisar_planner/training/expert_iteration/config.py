@@ -32,6 +32,10 @@ class ExpertConfig:
         Name of the model.
     start : str
         The policy to begin with: name of a shipped one, or path of a .safetensors file.
+    channels : int
+        Channels inside; a policy to begin with that has fewer is widened. 0 for those that it has.
+    labels : tuple of str
+        Folders of earlier runs of expert iteration, whose labels are remembered from the beginning.
     seed : int
         Seed of everything random.
     rounds : int
@@ -61,6 +65,8 @@ class ExpertConfig:
     algorithm: str = ALGORITHM
     name: str = "sac"
     start: str = "sac"
+    channels: int = 0
+    labels: tuple[str, ...] = ()
     seed: int = 0
     rounds: int = 8
     flights: int = 4096
@@ -79,7 +85,7 @@ class ExpertConfig:
         check_name(self.name)
         check_seed(self.seed)
         check_at_least(
-            self, rounds=1, flights=1, tries=0, moves=1, early_weight=0.0,
+            self, channels=0, rounds=1, flights=1, tries=0, moves=1, early_weight=0.0,
             remembered_flights=self.flights, updates=1, batch=1, validation_maps=2,
         )  # fmt: skip
         check_positive(self, "rate")

@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from wisar_planner.errors import InvalidInput
 from wisar_planner.policy.model import Model
 from wisar_planner.policy.network import forward
 from wisar_planner.training.divergence import check_finite
@@ -17,16 +19,22 @@ from wisar_planner.training.expert_iteration.config import ExpertConfig
 from wisar_planner.training.expert_iteration.labels import Labels, lesson
 from wisar_planner.training.imitation_loss import imitation_loss
 from wisar_planner.training.judging import Flights, fly_problems, planned
-from wisar_planner.training.networks import learn, mirrored, optimizer_of
+from wisar_planner.training.networks import learn, mirrored, optimizer_of, widened
 from wisar_planner.training.policy_run import PolicyRun
 from wisar_planner.training.problems import random_problems
 from wisar_planner.training.processes import in_processes
-from wisar_planner.training.records import make_optimizer_tensors, optimizer_tensors
+from wisar_planner.training.records import (
+    make_optimizer_tensors,
+    optimizer_tensors,
+    read_tensors,
+)
 from wisar_planner.training.run import OnProgress
 from wisar_planner.training.worlds import WorldDistribution
 
 # Flights that a process labels at a time.
 _AT_A_TIME = 16
+# What a checkpoint calls its labels.
+_LABELS = "labels"
 
 
 class ExpertRun(PolicyRun[ExpertConfig]):
@@ -34,6 +42,11 @@ class ExpertRun(PolicyRun[ExpertConfig]):
 
     It is validated before the first round, too, and flies validation maps as plans fly maps. Search
     runs in as many processes as PyTorch has threads.
+
+    Raises
+    ------
+    InvalidInput
+        Also when the policy to begin with has more channels than are wanted.
     """
 
     algorithm = "expert iteration"
@@ -41,9 +54,25 @@ class ExpertRun(PolicyRun[ExpertConfig]):
 
     def __init__(self, config: ExpertConfig, folder: Path | None, device: torch.device) -> None:
         super().__init__(config, folder, device)
+        if config.channels:
+            self._widen(config.channels)
         self._optimizers = {"actor": optimizer_of(self.actor, config.rate)}
         make_optimizer_tensors(self._optimizers)
         self._rounds: list[Labels] = []
+
+    def _widen(self, channels: int) -> None:
+        """Give the policy more channels to learn with."""
+        weights = {name: value.detach().cpu().numpy() for name, value in self.actor.items()}
+        if (before := weights["view"].shape[1]) > channels:
+            raise InvalidInput(
+                f"channels: {self.config.start} has {before}, more than {channels}; leave the "
+                "field out, or begin with another policy"
+            )
+        wider = widened(weights, channels, np.random.default_rng(self.config.seed))
+        self.actor = {
+            name: torch.tensor(value, device=self.device, requires_grad=True)
+            for name, value in wider.items()
+        }
 
     def fly(self, maps: int, generator: torch.Generator) -> Flights:
         """Fly the present policy; see `Run.fly`."""
@@ -65,6 +94,7 @@ class ExpertRun(PolicyRun[ExpertConfig]):
 
     def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
         if not self.validations:
+            self._recall()
             yield {}
         while len(self.validations) <= self.config.rounds:
             yield self._round(on_progress)
@@ -103,6 +133,14 @@ class ExpertRun(PolicyRun[ExpertConfig]):
             paper = round(share * end) - round(share * first)
             yield first, (paper, end - first - paper)
 
+    def _recall(self) -> None:
+        """Remember the labels of earlier runs, the latest rounds of all of them last."""
+        runs = [read_labels(Path(each)) for each in self.config.labels]
+        for together in range(-max(map(len, runs), default=0), 0):
+            for each in runs:
+                if len(each) >= -together:
+                    self._remember(each[together])
+
     def _remember(self, fresh: Labels) -> None:
         """Add the labels of a round; forget the oldest rounds beyond what is to be remembered."""
         rounds = max(1, self.config.remembered_flights // self.config.flights)
@@ -134,14 +172,34 @@ class ExpertRun(PolicyRun[ExpertConfig]):
         found |= dict(optimizer_tensors(self._optimizers))
         for place, labels in enumerate(self._rounds):
             for name, each in labels._asdict().items():
-                found[f"labels.{place}.{name}"] = torch.from_numpy(each)
+                found[f"{_LABELS}.{place}.{name}"] = torch.from_numpy(each)
         return found
 
     def _restore(self, stored: dict[str, Tensor], counters: Mapping[str, Any]) -> None:
         for name, tensor in self._tensors().items():
             tensor.copy_(stored[name])
-        rounds = len({name.split(".")[1] for name in stored if name.startswith("labels.")})
-        self._rounds = [
-            Labels(*(stored[f"labels.{place}.{name}"].cpu().numpy() for name in Labels._fields))
-            for place in range(rounds)
-        ]
+        labels = f"{_LABELS}."
+        self._rounds = _rounds_in(
+            {k.removeprefix(labels): v for k, v in stored.items() if k.startswith(labels)}
+        )
+
+
+def read_labels(folder: Path) -> list[Labels]:
+    """Return the labels that a run of expert iteration remembers, by round.
+
+    Raises
+    ------
+    InvalidInput
+        When the folder has no checkpoint of such a run.
+    """
+    if not (labels := _rounds_in(read_tensors(folder, _LABELS))):
+        raise InvalidInput(f"labels: {folder} is no run of expert iteration that has labels")
+    return labels
+
+
+def _rounds_in(stored: Mapping[str, Tensor]) -> list[Labels]:
+    rounds = len({name.split(".")[0] for name in stored})
+    return [
+        Labels(*(stored[f"{place}.{name}"].cpu().numpy() for name in Labels._fields))
+        for place in range(rounds)
+    ]
