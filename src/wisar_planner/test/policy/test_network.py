@@ -4,6 +4,7 @@ import torch
 
 from wisar_planner.policy.network import forward, initial_parameters
 from wisar_planner.policy.observation import DIRECTIONS, NUMBERS, VIEW_WIDTH
+from wisar_planner.policy.ring_kernels import RingWeights, ring_network
 
 
 @pytest.fixture
@@ -50,6 +51,19 @@ def test_it_is_the_network_that_its_description_says(parameters, observed):
                 hidden = hidden + np.maximum(mixed, 0.0)
             output = hidden @ p["output"].T + p["output_bias"][:, 0]
             np.testing.assert_allclose(found[n, :, b], output.T, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(("channels", "outputs"), [(12, 3), (5, 2), (1, 1), (8, 5)])
+def test_the_compiled_network_says_the_same(observed, channels, outputs):
+    """Also where channels and outputs are no multiple of those that it sums side by side."""
+    rng = np.random.default_rng(channels)
+    made = initial_parameters(rng, networks=1, outputs=outputs, channels=channels, blocks=2)
+    noisy = {k: (v + rng.normal(0.0, 0.1, v.shape)).astype(np.float32) for k, v in made.items()}
+    expected = forward(noisy, *observed)[0]
+    assert np.std(expected) > 0.01
+    found = np.full_like(expected, np.nan)
+    ring_network(RingWeights.of(noisy), *observed, found)
+    np.testing.assert_allclose(found, expected, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("turn", [1, 7, 16])

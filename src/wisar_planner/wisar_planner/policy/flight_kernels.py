@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from wisar_planner.errors import FloatArray
-from wisar_planner.policy.heading import LOG_STD_MAX, LOG_STD_MIN, SPACING
+from wisar_planner.policy.heading import ACTOR_OUTPUTS, LOG_STD_MAX, LOG_STD_MIN, SPACING
 from wisar_planner.policy.observation import BRIGHTEST, DIRECTIONS, NUMBERS, SCALES, VIEW_WIDTH
 from wisar_planner.policy.ring_kernels import RingWeights, ring_network
 from wisar_planner.policy.unseen_kernels import (
@@ -91,7 +91,7 @@ def fly_step(
     searches = len(flights.position)
     view = np.empty((searches, DIRECTIONS, VIEW_WIDTH), np.float32)
     numbers = np.empty((searches, NUMBERS), np.float32)
-    output = np.empty((len(weights.output), searches, DIRECTIONS), np.float32)
+    output = np.empty((ACTOR_OUTPUTS, searches, DIRECTIONS), np.float32)
     start = flights.position.astype(np.float32)
     write_view(
         flights.levels, RATIO, start, flights.heading.astype(np.float32), flights.distances,

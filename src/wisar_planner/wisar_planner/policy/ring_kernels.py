@@ -13,22 +13,28 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from wisar_planner.policy.observation import DIRECTIONS
-from wisar_planner.vectors import pointer, require, spread, zeros
+from wisar_planner.vectors import pointer, require, spread
 
 Float32Array = npt.NDArray[np.float32]
 
 _ROW = ir.VectorType(ir.FloatType(), DIRECTIONS)
 # A product and a sum may become one instruction.
 _FUSED = ("contract",)
+# Channels whose sums grow side by side, so that what they share is read once and additions do not
+# wait for each other: as many as 32 vector registers hold, or 16.
+_TOGETHER = 4 if get_host_cpu_features().get("avx512vl") else 2
 
 
 class RingWeights(NamedTuple):
     """Parameters of one network, laid out for the kernel.
+
+    Channels and outputs are filled up with zeros to a multiple of `_TOGETHER`.
 
     Attributes
     ----------
@@ -54,72 +60,76 @@ class RingWeights(NamedTuple):
     @classmethod
     def of(cls, parameters: Mapping[str, Float32Array]) -> RingWeights:
         """Return the parameters, as `network.forward` takes them, of the first network."""
-        single = {
-            name: np.ascontiguousarray(value[0], np.float32) for name, value in parameters.items()
-        }
-        blocks = sum(name.startswith("ring") for name in single)
+        blocks = sum(name.startswith("ring") for name in parameters)
+
+        def filled(name: str) -> Float32Array:
+            value = parameters[name][0]
+            over_channels = name.startswith("mix") or name == "output"
+            fill = [(0, -value.shape[0] % _TOGETHER), (0, -value.shape[1] % _TOGETHER)]
+            return np.pad(value, fill if over_channels else [fill[0], (0, 0)]).astype(np.float32)
 
         def stacked(name: str) -> Float32Array:
-            return np.stack([single[f"{name}{block}"] for block in range(blocks)])
+            return np.stack([filled(f"{name}{block}") for block in range(blocks)])
 
         return cls(
-            *(single[name] for name in ("view", "numbers", "bias")),
+            *(filled(name) for name in ("view", "numbers", "bias")),
             *(stacked(name) for name in ("ring", "mix", "bias")),
-            *(single[name] for name in ("output", "output_bias")),
+            *(filled(name) for name in ("output", "output_bias")),
         )
 
 
 def _add_products(
     _: Any,
     sums: Any,
-    at: Any,
     weights: Any,
     first: Any,
+    count: Any,
     rows: Any,
     start: Any,
+    apart: Any,
     stride: Any,
-    count: Any,
 ) -> tuple[Any, Any]:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        sums, at, weights, first, rows, start, stride, count = arguments
+        sums, weights, first, count, rows, start, apart, stride = arguments
         kinds = signature.args
 
-        def element(kind: int, array: Any, index: Any) -> Any:
-            data = context.make_array(kinds[kind])(context, builder, array).data
-            return builder.load(builder.gep(data, [index]))
+        def row(kind: int, array: Any, index: Any) -> Any:
+            return pointer(context, builder, kinds[kind], array, index, _ROW)
 
-        # Sums of even and of odd rows: two chains of additions that do not wait for each other.
-        place = pointer(context, builder, kinds[0], sums, at, _ROW)
-        chains = [cgutils.alloca_once_value(builder, zeros(_ROW)) for _ in range(2)]
-        builder.store(builder.load(place, align=4), chains[0])
+        def constant(value: int) -> Any:
+            return ir.Constant(ir.IntType(64), value)
 
-        def add(k: Any, chain: Any) -> None:
-            weight = spread(builder, element(2, weights, builder.add(first, k)), _ROW)
-            index = builder.add(start, builder.mul(k, stride))
-            row = builder.load(pointer(context, builder, kinds[4], rows, index, _ROW), align=4)
-            product = builder.fmul(weight, row, flags=_FUSED)
-            builder.store(builder.fadd(builder.load(chain), product, flags=_FUSED), chain)
-
-        one = ir.Constant(ir.IntType(64), 1)
-        with cgutils.for_range(builder, builder.lshr(count, one)) as loop:
-            even = builder.shl(loop.index, one)
-            add(even, chains[0])
-            add(builder.add(even, one), chains[1])
-        with builder.if_then(builder.trunc(count, ir.IntType(1))):
-            add(builder.sub(count, one), chains[0])
-        total = builder.fadd(*(builder.load(chain) for chain in chains))
-        builder.store(total, place, align=4)
+        places = [row(0, sums, constant(DIRECTIONS * channel)) for channel in range(_TOGETHER)]
+        totals = [
+            cgutils.alloca_once_value(builder, builder.load(place, align=4)) for place in places
+        ]
+        data = context.make_array(kinds[1])(context, builder, weights).data
+        with cgutils.for_range(builder, count) as loop:
+            along = builder.add(start, builder.mul(loop.index, stride))
+            for channel, total in enumerate(totals):
+                at = builder.add(first, builder.mul(constant(channel), count))
+                weight = builder.load(builder.gep(data, [builder.add(at, loop.index)]))
+                index = builder.add(along, builder.mul(constant(channel), apart))
+                product = builder.fmul(
+                    spread(builder, weight, _ROW),
+                    builder.load(row(4, rows, index), align=4),
+                    flags=_FUSED,
+                )
+                builder.store(builder.fadd(builder.load(total), product, flags=_FUSED), total)
+        for place, total in zip(places, totals, strict=True):
+            builder.store(builder.load(total), place, align=4)
         return context.get_dummy_value()
 
     require(types.float32, sums, weights, rows)
     index = types.int64
-    signature = types.void(sums, index, weights, index, rows, index, index, index)
+    signature = types.void(sums, weights, index, index, rows, index, index, index)
     return signature, generate
 
 
-#: ``add_products(sums, at, weights, first, rows, start, stride, count)`` adds to `DIRECTIONS`
-#: numbers from ``sums[at]`` on, for k = 0 to `count` - 1, ``weights[first + k]`` times those from
-#: ``rows[start + k * stride]`` on. All are float32 arrays; indices are flat.
+#: ``add_products(sums, weights, first, count, rows, start, apart, stride)`` adds to `DIRECTIONS`
+#: numbers in each of the `_TOGETHER` rows c of `sums`, for k = 0 to `count` - 1,
+#: ``weights[first + c * count + k]`` times those from ``rows[start + c * apart + k * stride]`` on.
+#: All are float32 arrays; indices are flat.
 add_products: Callable[..., None] = intrinsic(_add_products)
 
 
@@ -133,44 +143,48 @@ def ring_network(
     columns = np.empty((width, directions), np.float32)
     hidden = np.empty((channels, directions), np.float32)
     turned = np.empty((channels, directions), np.float32)
-    mixed = np.empty(directions, np.float32)
-    twice = np.empty(2 * directions, np.float32)
+    sums = np.empty((_TOGETHER, directions), np.float32)
+    twice = np.empty((_TOGETHER, 2 * directions), np.float32)
     zero = np.float32(0.0)
     for b in range(searches):
         for d in range(directions):
             for v in range(width):
                 columns[v, d] = view[b, d, v]
-        for c in range(channels):
-            row = weights.bias[c, 0]
-            for k in range(numbers.shape[1]):
-                row += weights.from_numbers[c, k] * numbers[b, k]
-            hidden[c] = row
-            add_products(
-                hidden, c * directions, weights.from_view, c * width, columns, 0, directions, width
-            )
-            for d in range(directions):
-                hidden[c, d] = max(hidden[c, d], zero)
-        for block in range(len(weights.rings)):
-            for c in range(channels):
-                # Written twice in a row, the ring can be read in full from any direction on.
-                twice[:directions] = hidden[c]
-                twice[directions:] = hidden[c]
-                turned[c] = zero
-                add_products(
-                    turned, c * directions, weights.rings, (block * channels + c) * directions,
-                    twice, directions, -1, directions,
-                )  # fmt: skip
-            for c in range(channels):
-                mixed[:] = weights.biases[block, c, 0]
-                add_products(
-                    mixed, 0, weights.mixes, (block * channels + c) * channels,
-                    turned, 0, directions, channels,
-                )  # fmt: skip
+        for c in range(0, channels, _TOGETHER):
+            for i in range(_TOGETHER):
+                row = weights.bias[c + i, 0]
+                for k in range(numbers.shape[1]):
+                    row += weights.from_numbers[c + i, k] * numbers[b, k]
+                sums[i] = row
+            add_products(sums, weights.from_view, c * width, width, columns, 0, 0, directions)
+            for i in range(_TOGETHER):
                 for d in range(directions):
-                    hidden[c, d] += max(mixed[d], zero)
-        for o in range(len(weights.output)):
-            output[o, b] = weights.output_bias[o, 0]
-            add_products(
-                output, (o * searches + b) * directions, weights.output, o * channels,
-                hidden, 0, directions, channels,
-            )  # fmt: skip
+                    hidden[c + i, d] = max(sums[i, d], zero)
+        for block in range(len(weights.rings)):
+            for c in range(0, channels, _TOGETHER):
+                # Written twice in a row, a ring can be read in full from any direction on.
+                for i in range(_TOGETHER):
+                    twice[i, :directions] = hidden[c + i]
+                    twice[i, directions:] = hidden[c + i]
+                sums[:] = zero
+                add_products(
+                    sums, weights.rings, (block * channels + c) * directions, directions,
+                    twice, directions, 2 * directions, -1,
+                )  # fmt: skip
+                turned[c : c + _TOGETHER] = sums
+            for c in range(0, channels, _TOGETHER):
+                for i in range(_TOGETHER):
+                    sums[i] = weights.biases[block, c + i, 0]
+                add_products(
+                    sums, weights.mixes, (block * channels + c) * channels, channels,
+                    turned, 0, 0, directions,
+                )  # fmt: skip
+                for i in range(_TOGETHER):
+                    for d in range(directions):
+                        hidden[c + i, d] += max(sums[i, d], zero)
+        for o in range(0, len(weights.output), _TOGETHER):
+            for i in range(_TOGETHER):
+                sums[i] = weights.output_bias[o + i, 0]
+            add_products(sums, weights.output, o * channels, channels, hidden, 0, 0, directions)
+            wanted = min(_TOGETHER, len(output) - o)
+            output[o : o + wanted, b] = sums[:wanted]
