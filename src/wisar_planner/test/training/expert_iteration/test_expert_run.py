@@ -102,7 +102,7 @@ def test_labels_must_be_those_of_a_run(tmp_path, trained) -> None:
             next(run.train())
         return str(caught.value)
 
-    assert "cannot be read" in reason(tmp_path / "none")
+    assert "holds no run; train it first" in reason(tmp_path / "none")
     tiny = PpoConfig(
         name="tiny", start="sac_improved", steps=192, imitation_steps=64, value_steps=64,
         environments=8, window=4, batch=16, channels=4, blocks=1, validation_maps=2,

@@ -24,6 +24,7 @@ from wisar_planner.training.policy_run import PolicyRun
 from wisar_planner.training.problems import random_problems
 from wisar_planner.training.processes import in_processes
 from wisar_planner.training.records import (
+    has_checkpoint,
     make_optimizer_tensors,
     optimizer_tensors,
     read_tensors,
@@ -192,6 +193,10 @@ def read_labels(folder: Path) -> list[Labels]:
     InvalidInput
         When the folder has no checkpoint of such a run.
     """
+    if not has_checkpoint(folder):
+        raise InvalidInput(
+            f"labels: {folder} holds no run; train it first, or leave it out of the configuration"
+        )
     if not (labels := _rounds_in(read_tensors(folder, _LABELS))):
         raise InvalidInput(f"labels: {folder} is no run of expert iteration that has labels")
     return labels
