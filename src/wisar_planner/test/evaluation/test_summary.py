@@ -8,7 +8,7 @@ from wisar_planner.evaluation.run import CURVE_STEPS, FIND_BINS, PlannerSpec, Ru
 from wisar_planner.evaluation.runner import Evaluation
 from wisar_planner.evaluation.scenario import Drone, RandomMaps
 from wisar_planner.evaluation.summary import summarise
-from wisar_planner.evaluation.tables import HEADERS, markdown, table_rows
+from wisar_planner.evaluation.tables import HEADERS, best_markdown, markdown, table_rows
 
 NAMES = ("lawnmower", "lhc_gw_conv")
 
@@ -112,6 +112,30 @@ def test_pairs_are_compared_map_by_map():
     # The maps differ by far more than the planners; paired, the difference is exact.
     assert pair["e_p_difference_mean_ci"] == pytest.approx([-0.05, -0.05])
     assert pair["share_of_maps_better"] == 0.0
+
+
+def test_the_best_planner_is_told_against_the_others_map_by_map():
+    """Named second, it is 0.05 better on all maps but one, and behind for the first half."""
+    offsets = np.linspace(0.0, 0.2, 10)
+    late = (np.arange(CURVE_STEPS + 1) / CURVE_STEPS) ** 2
+    records = [record("lawnmower", i, 0.1 + o) for i, o in enumerate(offsets)]
+    records += [
+        record("lhc_gw_conv", i, e_p, curve=(e_p * late).tolist())
+        for i, e_p in enumerate([0.09, *(0.15 + offsets[1:])])
+    ]
+    summary = summarise(evaluation(10), records)
+    (row,) = [
+        line for line in best_markdown(summary).splitlines() if line.startswith("| lawnmower")
+    ]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[1] == f"{(9 * 0.05 - 0.01) / 10:.4f}"
+    low, high = map(float, cells[2].split(" to "))
+    assert -0.01 <= low < float(cells[1]) < high <= 0.05
+    assert cells[3] == "90% of maps"
+    # Means 0.2 x and 0.244 x^2 of the distance's share x meet at 0.82 of 512 m.
+    assert float(cells[4]) == pytest.approx(0.2 / 0.244 * 512.0, abs=512.0 / CURVE_STEPS)
+    assert float(cells[5]) == pytest.approx(0.2**2 / (4 * 0.244), abs=1e-3)
+    assert best_markdown(summary) in markdown(summary)
 
 
 def test_what_does_not_exist_is_null_in_json():

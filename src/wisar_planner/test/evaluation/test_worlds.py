@@ -12,6 +12,7 @@ from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.scenario import FixedMap, RandomMaps
 from wisar_planner.evaluation.worlds import read_worlds
+from wisar_planner.evaluation.worlds_table import worlds_markdown
 from wisar_planner.search import upper_bound
 
 SHIPPED = Path(__file__).parents[4] / "config" / "worlds.yaml"
@@ -190,6 +191,11 @@ def test_one_table_has_a_row_a_world_and_goes_on_where_it_stopped(tmp_path, caps
     assert low <= planner["share_of_bound"] <= high <= 1.0
     assert planner["share_of_reachable_bound"] >= planner["share_of_bound"]
     assert short["planners"]["lawnmower"]["share_of_reachable_bound"] is None
+    (pair,) = short["comparisons"]
+    first, second = (
+        short["planners"][pair[name]]["share_of_bound"] for name in ("planner", "other")
+    )
+    assert pair["share_difference"] == pytest.approx(first - second)
     # Finished: the runs that were kept for continuing are gone.
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.json", "table.md", "worlds.yaml"]
 
@@ -201,6 +207,32 @@ def test_one_table_has_a_row_a_world_and_goes_on_where_it_stopped(tmp_path, caps
     assert main(resumed) == 0
     assert len(list(kept.glob("*.jsonl"))) == 2
     assert untimed(again) == untimed(out)
+
+
+def test_the_last_planner_is_counted_ahead_where_it_is_more_than_chance():
+    def world(low, high):
+        planner = {"share_of_bound": 0.5, "seconds_per_plan": 1.0}
+        return {
+            "steps": 8,
+            "upper_bound": {"e_p_mean": 0.5},
+            "reachable_bound": {"e_p_mean": 0.5},
+            "planners": {"greedy": planner, "sac": planner},
+            "comparisons": [
+                {"planner": "greedy", "other": "sac", "share_difference_ci": [low, high]}
+            ],
+        }
+
+    ends = [(-0.2, -0.1), (-0.2, -0.01), (-0.1, 0.1), (0.1, 0.2), (None, None)]
+    results = {
+        "setup": {"planners": {"greedy": {}, "sac": {}}, "runs": 3, "seed": 0},
+        "worlds": {
+            **{f"world {k}": world(*each) for k, each in enumerate(ends)},
+            "gone": {"skipped": "no file"},
+        },
+    }
+    told = worlds_markdown(results).splitlines()[-1]
+    assert told.startswith("sac against greedy")
+    assert told.endswith("ahead in 2 of 5 worlds, behind in 1.")
 
 
 @pytest.mark.parametrize(

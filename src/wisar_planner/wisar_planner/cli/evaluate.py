@@ -321,7 +321,7 @@ def _print_table(results: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from wisar_planner.evaluation.tables import HEADERS, caption, table_rows
+    from wisar_planner.evaluation.tables import HEADERS, best_markdown, caption, table_rows
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for position, header in enumerate(HEADERS):
@@ -331,3 +331,5 @@ def _print_table(results: dict[str, Any]) -> None:
     console = Console() if sys.stdout.isatty() else Console(width=160)
     console.print(table)
     console.print(caption(results), style="dim", highlight=False)
+    if len(results["planners"]) > 1:
+        print(f"\n{best_markdown(results)}", end="")

@@ -5,8 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from wisar_planner.evaluation.paper_results import PAPER_RESULTS
 from wisar_planner.evaluation.scenario import RandomMaps
+
+# Mean efficiencies that differ by less are level.
+_LEVEL = 1e-9
 
 HEADERS = (
     "planner",
@@ -75,7 +80,51 @@ def markdown(results: Mapping[str, Any]) -> str:
         "| --- |" + " ---: |" * (len(HEADERS) - 2) + " --- |",
         *("| " + " | ".join(row) + " |" for row in table_rows(results)),
     ]
-    return "\n".join(lines) + "\n\n" + caption(results) + "\n"
+    text = "\n".join(lines) + "\n\n" + caption(results) + "\n"
+    return text + "\n" + best_markdown(results) if len(results["planners"]) > 1 else text
+
+
+def best_markdown(results: Mapping[str, Any]) -> str:
+    """Return how far the best planner is ahead of each other one, map by map, as Markdown.
+
+    The interval of a difference on the same maps says whether one planner is better than another;
+    the spread over maps, which differ far more than planners, does not.
+
+    Parameters
+    ----------
+    results : Mapping
+        What `summarise` returned, of two planners or more.
+    """
+    planners = results["planners"]
+    best = max(planners, key=lambda name: float(planners[name]["e_p_mean"]))
+    lines = [
+        f"{best} against the others, on the same maps:",
+        "",
+        "| other | sees more, e_p | 95% interval | better on | other ahead until, m | by up to |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for pair in results["comparisons"]:
+        if best not in (pair["planner"], pair["other"]):
+            continue
+        difference, (low, high) = pair["e_p_difference_mean"], pair["e_p_difference_mean_ci"]
+        wins, other = pair["share_of_maps_better"], pair["other"]
+        if other == best:
+            other, wins = pair["planner"], 1.0 - wins
+            difference, low, high = (
+                None if each is None else -each for each in (difference, high, low)
+            )
+        lead = np.subtract(planners[other]["curve"]["mean"], planners[best]["curve"]["mean"])
+        ahead = np.flatnonzero(lead > _LEVEL)
+        cells = (
+            other,
+            f"{difference:.4f}",
+            _interval((low, high), 4),
+            f"{100.0 * wins:.0f}% of maps",
+            f"{results['distances_m'][ahead[-1]]:.0f}" if len(ahead) else "–",
+            f"{lead.max():.4f}" if len(ahead) else "–",
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def caption(results: Mapping[str, Any]) -> str:

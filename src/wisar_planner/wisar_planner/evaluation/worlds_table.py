@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import joblib
@@ -36,7 +37,8 @@ def summarise_world(
         ``setup``, ``steps`` of the budget, ``upper_bound`` and ``reachable_bound``, and
         ``planners``: ``e_p_mean``, ``share_of_bound``, ``share_of_reachable_bound`` (None for a
         planner that does not begin at the start), each with its interval ``_ci``, and
-        ``seconds_per_plan``.
+        ``seconds_per_plan``; and ``comparisons`` of each pair of planners map by map:
+        ``planner``, ``other``, ``share_difference`` and its interval.
     """
     drone = evaluation.scenario.drone
     reachable = joblib.Parallel(n_jobs=jobs)(
@@ -54,6 +56,18 @@ def summarise_world(
         "upper_bound": estimate_of("e_p_mean", bounds),
         "reachable_bound": estimate_of("e_p_mean", reachable),
         "planners": {name: _planner(runs, reachable) for name, runs in groups.items()},
+        "comparisons": [
+            {
+                "planner": first,
+                "other": second,
+                **estimate_of(
+                    "share_difference",
+                    [a.e_p - b.e_p for a, b in zip(groups[first], groups[second], strict=True)],
+                    bounds,
+                ),
+            }
+            for first, second in combinations(groups, 2)
+        ],
     }
 
 
@@ -87,11 +101,27 @@ def worlds_markdown(results: Mapping[str, Any]) -> str:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     setup = results["setup"]
-    return "\n".join(lines) + (
-        f"\n\nRuns: {setup['runs']} a world; seed {setup['seed']}. Planners: what they see as a "
+    caption = (
+        f"Runs: {setup['runs']} a world; seed {setup['seed']}. Planners: what they see as a "
         "share of the upper bound, sums over runs. The reachable bound holds for paths from the "
-        "start. Time: seconds per plan, planner by planner.\n"
+        "start. Time: seconds per plan, planner by planner."
     )
+    return "\n\n".join(["\n".join(lines), caption, *_ahead(results)]) + "\n"
+
+
+def _ahead(results: Mapping[str, Any]) -> Iterator[str]:
+    """Yield in how many worlds the last planner is ahead of another one, by more than chance."""
+    worlds = [world for world in results["worlds"].values() if "skipped" not in world]
+    last = list(results["setup"]["planners"])[-1]
+    for pairs in zip(*(world["comparisons"] for world in worlds), strict=True):
+        if pairs[0]["other"] == last:
+            ends = [pair["share_difference_ci"] for pair in pairs]
+            known = [(low, high) for low, high in ends if None not in (low, high)]
+            yield (
+                f"{last} against {pairs[0]['planner']}, on the same maps, by more than chance "
+                f"(95%): ahead in {sum(high < 0.0 for _, high in known)} of {len(worlds)} worlds, "
+                f"behind in {sum(low > 0.0 for low, _ in known)}."
+            )
 
 
 def _reachable(scenario: Scenario, seed: int, index: int) -> float:
