@@ -9,6 +9,7 @@ from wisar_planner.evaluation.runner import Evaluation
 from wisar_planner.evaluation.scenario import Drone, RandomMaps
 from wisar_planner.evaluation.summary import summarise
 from wisar_planner.evaluation.tables import HEADERS, best_markdown, markdown, table_rows
+from wisar_planner.policy.model import find_model, load_model
 
 NAMES = ("lawnmower", "lhc_gw_conv")
 
@@ -176,3 +177,10 @@ def test_table_is_valid_markdown_and_says_how_paths_begin():
     assert {line.count("|") for line in rows} == {len(HEADERS) + 1}
     assert "own first point" in text
     assert "start, leg of 54 m" in text
+
+
+def test_results_tell_which_policy_they_are_of():
+    results = summarise(evaluation(1, ("sac",)), [record("sac", 0, 0.3)])
+    policy = results["setup"]["planners"]["sac"]
+    assert policy["model"] == "sac"
+    assert policy["model_sha256"] == load_model(find_model("sac")).card["weights_sha256"]

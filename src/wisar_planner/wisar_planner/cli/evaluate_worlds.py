@@ -48,7 +48,7 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
             "runs": args.runs,
             "seed": args.seed,
             "persons": args.persons,
-            "planners": {spec.name: spec.resolved() for spec in planners},
+            "planners": {spec.name: spec.identity() for spec in planners},
         },
         "worlds": _run_all(args, planners, worlds, keep),
     }

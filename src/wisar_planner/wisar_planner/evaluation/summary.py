@@ -59,7 +59,7 @@ def summarise(evaluation: Evaluation, records: Sequence[RunRecord]) -> dict[str,
             "runs": evaluation.runs,
             "confidence": CONFIDENCE,
             **evaluation.common_setup(),
-            "planners": {spec.name: spec.resolved() for spec in evaluation.planners},
+            "planners": {spec.name: spec.identity() for spec in evaluation.planners},
         },
         "planners": {name: _planner_summary(runs, distance) for name, runs in groups.items()},
         "upper_bound": {
