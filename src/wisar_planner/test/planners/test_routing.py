@@ -1,10 +1,13 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wisar_planner.planners.routing import clip_lines, route, waypoints_along
+from wisar_planner import SearchArea, SearchProblem
+from wisar_planner.planners.routing import clip_lines, pattern_path, route, waypoints_along
 
 RING = shapely.box(0, 0, 10, 10).difference(shapely.box(4, 4, 6, 6))
 
@@ -36,6 +39,20 @@ def test_route_crosses_straight_between_separate_parts():
     parts = shapely.union(shapely.box(0, 0, 2, 2), shapely.box(5, 0, 7, 2))
     way = route(parts, np.array([1.0, 1]), np.array([6.0, 1]))
     np.testing.assert_allclose(way, [(1, 1), (2, 1), (5, 1), (6, 1)])
+
+
+@pytest.mark.parametrize(("budget", "expected"), [(24.0, 4), (34.0, 4), (41.0, 6)])
+def test_no_waypoint_stands_between_parts_of_an_area(budget, expected):
+    """A line of two parts, 20 m each with 15 m between; the budget ends on the way or beyond."""
+    parts = shapely.union(shapely.box(0, 0, 20, 20), shapely.box(35, 0, 55, 20))
+    problem = dataclasses.replace(
+        SearchProblem.paper(np.random.default_rng(0), start=(1.0, 10.0)), area=SearchArea(parts),
+        max_distance=budget,
+    )  # fmt: skip
+    line = np.array([[[0.0, 10.0], [55.0, 10.0]]])
+    path = pattern_path(problem, line, "pattern", from_start=False)
+    whole = [(0, 10), (8, 10), (16, 10), (20, 10), (35, 10), (41, 10)]
+    np.testing.assert_allclose(path.waypoints, whole[:expected])
 
 
 @given(

@@ -4,6 +4,7 @@ import time
 import numpy as np
 import pytest
 import shapely
+from scipy import stats
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
 from wisar_planner.planners import sac_search
@@ -19,16 +20,20 @@ def check(problem, path):
     assert path.length <= problem.max_distance * (1.0 + 1e-9)
 
 
-def test_is_at_least_as_good_as_the_policy_alone(paper_problem):
+def test_is_better_than_the_policy_alone(paper_problem):
+    """Never much worse, as it compares on a raster; on 24 maps better by far more than chance.
+
+    By ranks: the policy is bad on few maps, and much is gained there.
+    """
     searched, alone = [], []
-    planner = make_planner("sac_search", max_iterations=3000, early_weight=0.0)
-    for problem in map(paper_problem, range(20, 23)):
+    planner = make_planner("sac_search", max_iterations=20_000, early_weight=0.0)
+    for problem in map(paper_problem, range(20, 44)):
         path = planner.plan(problem)
         check(problem, path)
         searched.append(path.probability_efficiency(problem))
         alone.append(make_planner("sac").plan(problem).probability_efficiency(problem))
-    assert (np.array(searched) >= 0.995 * np.array(alone)).all()  # it compares on a raster
-    assert np.mean(searched) > 1.02 * np.mean(alone)
+    assert (np.array(searched) >= 0.995 * np.array(alone)).all()
+    assert stats.wilcoxon(searched, alone, alternative="greater").pvalue < 1e-4
 
 
 def test_more_iterations_are_better_on_average(paper_problem):

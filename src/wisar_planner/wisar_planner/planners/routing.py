@@ -139,7 +139,8 @@ def pattern_path(
     Parameters
     ----------
     problem : SearchProblem
-        Supplies area, start, waypoint spacing and budget.
+        Supplies area, start, waypoint spacing and budget. No waypoint stands between parts of an
+        area, and the path does not end there.
     lines : (N, 2, 2) float64
         Straight lines of the pattern in the order and direction of flight, m. They are clipped to
         the area and joined inside it.
@@ -157,8 +158,13 @@ def pattern_path(
         leg = route(polygon, problem.start, pattern[0])
         transit = min(limit, float(np.hypot(*np.diff(leg, axis=0).T).sum()))
         pattern = np.concatenate([leg, pattern])
+    waypoints = waypoints_along(pattern, problem.step_length, limit)
+    if isinstance(polygon, MultiPolygon):
+        # Between parts it flies straight on, and where the budget ends there it is not begun.
+        outside = shapely.distance(polygon, shapely.points(waypoints))
+        waypoints = waypoints[outside <= _extent(polygon) * _TINY]
     return SearchPath(
-        waypoints=waypoints_along(pattern, problem.step_length, limit),
+        waypoints=waypoints,
         swath_radius=problem.swath_radius,
         planner=planner,
         transit_length=transit,
