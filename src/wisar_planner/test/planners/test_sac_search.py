@@ -33,7 +33,7 @@ def test_is_better_than_the_policy_alone(paper_problem):
         searched.append(path.probability_efficiency(problem))
         alone.append(make_planner("sac").plan(problem).probability_efficiency(problem))
     assert (np.array(searched) >= 0.995 * np.array(alone)).all()
-    assert stats.wilcoxon(searched, alone, alternative="greater").pvalue < 1e-4
+    assert stats.wilcoxon(searched, alone, alternative="greater").pvalue < 1e-3
 
 
 def test_more_iterations_are_better_on_average(paper_problem):
