@@ -21,7 +21,8 @@ examples:
   wisar train config/ppo.yaml --start out/improved/sac.safetensors --device cuda --out out/ppo
       a trained policy made better by proximal policy optimisation on a GPU
   wisar train config/expert_iteration.yaml --start out/ppo/sac.safetensors --out out/expert
-      a trained policy that learns from search, on a CPU, as the shipped one did at last
+      a trained policy that learns from search, on a CPU, as the shipped one did at last (then
+      with config/expert_iteration_wide.yaml, which needs two such runs)
   wisar train config/sac.yaml --seed 1 --steps 100000 --out out/quick --threads 1
       another seed, shorter, on one core
   wisar train config/sac.yaml --device cuda --out out/gpu
