@@ -157,6 +157,15 @@ AREA = square(-5.0, 56.7, -4.98, 56.71, role="search_area")
         {"role": "search_area", "kind": "NFZ"},
         {"role": "Restricted airspace"},
         {"kind": "exclusion_zone"},
+        {"role": "danger area"},
+        {"kind": "avoid"},
+        {"kind": "do_not_fly"},
+        {"kind": "Do not overfly"},
+        {"kind": "military"},
+        {"kind": "off-limits"},
+        {"kind": "TFR"},
+        {"name": "No-fly zone"},
+        {"name": "shooting range, DO NOT FLY"},
     ],
     ids=str,
 )
@@ -168,6 +177,30 @@ def test_a_zone_to_keep_out_of_is_never_searched(tmp_path, properties, others):
     message = rf"area\.geojson: features\[{len(others)}\]: keep_out zones are not supported; cut"
     with pytest.raises(InvalidInput, match=message):
         load_map(path, area=area)
+
+
+@pytest.mark.parametrize("name", ["Danger Hill", "Military Road wood", "Closed canopy", "Nofield"])
+def test_a_place_of_whatever_name_is_searched(tmp_path, name):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    place = square(-5.0, 56.7, -4.98, 56.71, name=name)
+    assert load_map(path, area=write(tmp_path / "area.geojson", collection(place))).area.area > 0.0
+
+
+@pytest.mark.parametrize("others", [[], [AREA]], ids=["alone", "beside-an-area"])
+def test_a_polygon_of_another_role_is_refused(tmp_path, others):
+    """It may be a ban in words that nobody thought of."""
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    other = square(-4.98, 56.7, -4.97, 56.71, role="shooting range")
+    area = write(tmp_path / "area.geojson", collection(*others, other))
+    with pytest.raises(InvalidInput, match="'shooting range' is neither searched nor kept out of"):
+        load_map(path, area=area)
+
+
+@pytest.mark.parametrize(("name", "value"), [("band", 2), ("cell", 5.0)])
+def test_what_only_rasters_have_is_refused_of_a_mixture(tmp_path, name, value):
+    path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
+    with pytest.raises(InvalidInput, match=f"{name}: .*map.geojson is a mixture"):
+        load_map(path, **{name: value})
 
 
 def test_of_an_area_file_the_search_areas_count_if_it_names_any(tmp_path):

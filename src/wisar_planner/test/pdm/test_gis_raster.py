@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +199,31 @@ def test_a_band_and_a_cell_size_can_be_chosen(tmp_path):
         load_map(path, band=2, cell=1e-6)
     with pytest.raises(InvalidInput, match="cell"):
         load_map(path, band=2, cell=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "value"), [("float64", -1234567.5), ("int32", -2147483648), ("float32", -3.4e38)]
+)
+def test_the_remedy_for_undeclared_missing_data_works(tmp_path, dtype, value):
+    path = tmp_path / "map.tif"
+    write_tif(path, np.array([[3, value, 1]], dtype=dtype))
+    with pytest.raises(InvalidInput) as caught:
+        load_map(path)
+    (marker,) = re.findall(r"-a_nodata (\S+)", str(caught.value))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.nodata = float(marker)
+    assert load_map(path).pdm.probability.sum() == pytest.approx(1.0)
+
+
+def test_a_raster_without_a_datum_is_not_moved_by_a_guess(tmp_path):
+    """The British grid by its parameters; without its datum it would lie 77 m off."""
+    grid = "+proj=tmerc +lat_0=49 +lon_0=-2 +k=0.9996012717 +x_0=400000 +y_0=-100000 +units=m"
+    values, transform = np.ones((4, 4)), from_origin(216_000, 771_000, 10, 10)
+    write_tif(tmp_path / "guessed.tif", values, crs=f"{grid} +ellps=airy", transform=transform)
+    with pytest.raises(InvalidInput, match=r"names no datum.*gdal_edit.py -a_srs"):
+        load_map(tmp_path / "guessed.tif")
+    write_tif(tmp_path / "named.tif", values, crs=f"{grid} +datum=WGS84", transform=transform)
+    assert "EPSG" not in " ".join(load_map(tmp_path / "named.tif").notes)
 
 
 @pytest.mark.parametrize(

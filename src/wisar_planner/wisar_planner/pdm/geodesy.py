@@ -177,9 +177,15 @@ def origin_at(crs: str, x: float, y: float) -> GeoOrigin:
 
 def _transformed(source: str, target: str, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     try:
-        transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
+        # Without a datum PROJ would guess, and be wrong by up to hundreds of metres.
+        transformer = pyproj.Transformer.from_crs(
+            source, target, always_xy=True, allow_ballpark=False
+        )
     except ProjError as error:
-        raise InvalidInput(f"crs cannot be brought to WGS84 ({error})") from None
+        raise InvalidInput(
+            f"crs cannot be brought to WGS84 ({error}); if it names no datum, give the one that it "
+            "was made in: gdal_edit.py -a_srs EPSG:... FILE"
+        ) from None
     points = np.column_stack(transformer.transform(x, y))
     if not np.isfinite(points).all():
         raise InvalidInput("x and y must lie within the range of their projection")

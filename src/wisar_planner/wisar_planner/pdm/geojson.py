@@ -28,12 +28,17 @@ Area: TypeAlias = Polygon | MultiPolygon
 SEARCH_AREA = "search_area"
 """Role of the polygons to search."""
 
-# In whatever words: keep-out, no fly zone, nogo, NFZ, exclusion zone, restricted, prohibited, ...
-# Only from the beginning of a word: not "unrestricted", not "volcano gorge".
+# What nobody calls ground that may be flown over.
+_NO_FLYING = r"keep.?out|stay.?out|no.?fly|no.?flight|do.?not.?(over)?.?fly|nfz|tfr(?![a-z])"
+# In whatever words: keep-out, no fly zone, nogo, exclusion zone, prohibited, restricted and danger
+# areas (ICAO's kinds), ... Only from the beginning of a word: not "unrestricted", "volcano gorge".
 _FORBIDDEN = re.compile(
-    r"(?<![a-z])(keep.?out|no.?fly|no.?go(zone)?(?![a-z])|nfz|exclu|restrict|prohibit|forbid)",
+    rf"(?<![a-z])({_NO_FLYING}|no.?go(zone)?(?![a-z])|no.?entry|exclu|restrict|prohibit|forbid|"
+    r"danger|hazard|avoid|off.?limits|not.?allowed|closed|military)",
     re.IGNORECASE,
 )
+# A name may be that of a place: Danger Hill is searched, "No-fly zone" is not.
+_FORBIDDEN_NAME = re.compile(rf"(?<![a-z])({_NO_FLYING})", re.IGNORECASE)
 
 # What an edge that is straight in degrees may be bent in metres, m: less than a vehicle's position
 # is known to. Parts of an area that are nearer than twice this are one.
@@ -104,12 +109,14 @@ def role_of(feature: dict[str, Any], where: str) -> str | None:
     Raises
     ------
     InvalidInput
-        If either says that it is a zone that must not be flown over.
+        If either, or its name, says that it is a zone that must not be flown over.
     """
     properties = feature["properties"] or {}
     given = [properties.get(name) for name in ("role", "kind")]
     texts = [text for text in given if isinstance(text, str)]
-    if any(_FORBIDDEN.search(text) for text in texts):
+    name = properties.get("name")
+    named = isinstance(name, str) and _FORBIDDEN_NAME.search(name)
+    if named or any(_FORBIDDEN.search(text) for text in texts):
         # To ignore it would be to fly where someone forbade it.
         raise InvalidInput(
             f"{where}: keep_out zones are not supported; "
@@ -257,7 +264,8 @@ def load_area(path: Path, frame: LocalFrame) -> Area:
     Raises
     ------
     InvalidInput
-        If the file is wrong, has no polygon, or has a zone that must not be flown over.
+        If the file is wrong, has no polygon, or has a zone that must not be flown over or a
+        polygon with another role.
     OSError
         If it cannot be read.
     """
@@ -268,6 +276,13 @@ def load_area(path: Path, frame: LocalFrame) -> Area:
         if role_of(feature, where) == SEARCH_AREA:
             # What is no polygon is refused there: a search area must not shrink in silence.
             marked.extend(polygons or [(feature["geometry"], f"{where}.geometry")])
+        elif polygons and (role := (feature["properties"] or {}).get("role")) is not None:
+            # It may be a ban in words that this code does not know.
+            raise InvalidInput(
+                f"{where}: a polygon with the role {shown(role)} is neither searched nor kept out "
+                f"of; give it the role {SEARCH_AREA}, or cut it out of the {SEARCH_AREA} polygon "
+                "(a hole) and remove the feature"
+            )
         found.extend(polygons)
     chosen = marked or found
     if not chosen:

@@ -262,10 +262,12 @@ def _check_values(values: FloatArray, path: Path) -> None:
         )
     negative = values < 0.0
     if negative.any():
-        lowest = values.min()
+        lowest = float(values.min())
+        # To the last digit: GDAL compares values with it.
+        marker = f"{lowest:.0f}" if lowest.is_integer() else repr(lowest)
         raise InvalidInput(
             f"{path}: {int(negative.sum())} values are negative (lowest {lowest:g}), which no "
-            f"probability is; if it marks missing data: gdal_edit.py -a_nodata {lowest:g} "
+            f"probability is; if it marks missing data: gdal_edit.py -a_nodata {marker} "
             f"{path.name}"
         )
     if not values.any():
@@ -324,5 +326,5 @@ def _warp(
 
 
 def _name(crs: Any) -> str:
-    epsg = crs.to_epsg()
+    epsg = crs.to_epsg(confidence_threshold=100)  # no other that only resembles it
     return f"EPSG:{epsg}" if epsg else str(crs.to_string())[:60]

@@ -76,6 +76,12 @@ def load_map(
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    if suffix in (*GEOJSON_SUFFIXES, *YAML_SUFFIXES):
+        for name, given in (("band", band != 1), ("cell", cell is not None)):
+            if given:
+                raise InvalidInput(
+                    f"{name}: {path} is a mixture, only rasters have it; leave it out"
+                )
     if suffix in RASTER_SUFFIXES:
         # Imported here: GDAL takes a second to load, and mixtures do not need it.
         from wisar_planner.pdm.geotiff import load_geotiff
