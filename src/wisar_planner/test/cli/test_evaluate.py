@@ -5,7 +5,10 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+import rasterio
+import shapely
 
 from wisar_planner.cli.evaluate import planner_specs
 from wisar_planner.cli.main import main
@@ -171,6 +174,54 @@ def test_ctrl_c_keeps_the_finished_runs_and_the_same_command_continues(tmp_path)
     assert "continues from them" in error
     before = sum('"run"' in line for line in kept.read_text().splitlines())
     assert before > 0
-    assert main([*SMALL, "--runs", "8", "--json", str(out)]) == 0
-    assert json.loads(out.read_text())["planners"]["lawnmower"]["runs"] == 8
+    # Fewer runs, or other planners, do not cost what was kept.
+    assert main([*SMALL, "--runs", "1", "--json", str(out)]) == 0
+    assert sum('"run"' in line for line in kept.read_text().splitlines()) == before
+    # Runs that are kept are not made again: one that is changed there is in the results.
+    lines = kept.read_text().splitlines()
+    maps = before // 2
+    changed = next(i for i, line in enumerate(lines) if '"run"' in line)
+    run = json.loads(lines[changed])
+    run["run"]["seconds"] = 1e6
+    kept.write_text("\n".join([*lines[:changed], json.dumps(run), *lines[changed + 1 :]]) + "\n")
+    assert main([*SMALL, "--runs", str(maps + 3), "--json", str(out)]) == 0
+    planners = json.loads(out.read_text())["planners"]
+    assert planners[run["run"]["planner"]]["runs"] == maps + 3
+    assert planners[run["run"]["planner"]]["seconds_per_plan"] > 1.0
     assert not kept.exists()
+
+
+def test_runs_of_another_command_are_not_removed(tmp_path, capsys):
+    """They are kept beside the results of one that finished: of other planners and more maps."""
+    out, kept = tmp_path / "out.json", tmp_path / "out.json.runs.jsonl"
+    assert main([*SMALL, "--runs", "3", "--resume", str(kept)]) == 0
+    capsys.readouterr()
+    fewer = ["--planner", "lawnmower", *SMALL[SMALL.index("--persons") :]]
+    assert main(["evaluate", *fewer, "--runs", "2", "--json", str(out)]) == 0
+    assert kept.exists()
+    assert f"4 more runs, not in these results, are kept in {kept}" in capsys.readouterr().err
+
+
+def test_an_area_beside_all_probability_is_refused(tmp_path, capsys):
+    mapping = pytest.importorskip("wisar_planner.pdm.gis")
+    from wisar_planner.evaluation.scenario import RandomMaps
+    from wisar_planner.pdm.geodesy import GeoOrigin
+
+    problem, path = RandomMaps().problem(0, 0), tmp_path / "map.geojson"
+    beside = shapely.box(260.0, 260.0, 300.0, 300.0)
+    mapping.save_mixture(path, problem.pdm, beside, GeoOrigin(56.0, -4.0))
+    drone = ["--step", "8", "--swath-radius", "2.5"]
+    assert main([*SMALL, "--map", str(path), *drone, "--runs", "1"]) == 2
+    assert "of the probability, too little to draw" in capsys.readouterr().err
+
+
+def test_notes_on_a_map_are_told(tmp_path, capsys):
+    path = tmp_path / "map.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, dtype="float64", width=8, height=8, crs="EPSG:32630",
+        transform=rasterio.transform.from_origin(377_000, 6_293_000, 10, 10),
+    ) as dataset:  # fmt: skip
+        dataset.write(np.full((8, 8), 0.5), 1)
+    drone = ["--step", "8", "--swath-radius", "2.5"]
+    assert main([*SMALL, "--map", str(path), *drone, "--runs", "1"]) == 0
+    assert "values sum to 32: divided by it" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,6 +95,31 @@ def test_resumed_file_is_kept_and_gives_the_same_numbers(tmp_path, config, capsy
     other.write_text("a letter\n")
     assert main([*command, "--samples", "1", "--resume", str(other)]) == 2
     assert other.read_text() == "a letter\n"
+
+
+def test_more_samples_than_a_smaller_sweep_tells_are_kept(tmp_path, config, capsys):
+    out, kept = tmp_path / "out.json", tmp_path / "out.json.samples.jsonl"
+    command = ["sweep", config, *RANGES]
+    assert main([*command, "--samples", "2", "--resume", str(kept)]) == 0
+    assert main([*command, "--samples", "1", "--json", str(out)]) == 0
+    assert len(kept.read_text().splitlines()) == 3
+    assert f"1 more samples, not in these results, are kept in {kept}" in capsys.readouterr().err
+    assert main([*command, "--samples", "2", "--json", str(out)]) == 0
+    assert not kept.exists()
+
+
+def test_outputs_are_checked_before_training(tmp_path, config, monkeypatch, capsys):
+    def fail(*_args, **_options):
+        raise AssertionError("it trains")
+
+    monkeypatch.setattr("wisar_planner.evaluation.sweep.run_sweep", fail)
+    before = Path(config).read_text()
+    assert main(["sweep", config, "--markdown", config]) == 2
+    assert "same file" in capsys.readouterr().err
+    assert Path(config).read_text() == before
+    (tmp_path / "file").touch()
+    assert main(["sweep", config, "--figures", str(tmp_path / "file")]) == 2
+    assert "--figures" in capsys.readouterr().err
 
 
 def test_samples_that_diverge_are_told_and_left_out(tmp_path, config, monkeypatch, capsys):

@@ -1,5 +1,6 @@
 import dataclasses
 
+import numpy as np
 import pytest
 
 from wisar_planner.errors import InvalidInput
@@ -7,6 +8,7 @@ from wisar_planner.evaluation.run import PlannerSpec
 from wisar_planner.evaluation.runner import Evaluation, run_evaluation
 from wisar_planner.evaluation.scenario import Drone, RandomMaps
 from wisar_planner.evaluation.store import RunStore
+from wisar_planner.policy.model import find_model, load_model, save_model
 
 SPECS = (PlannerSpec("lawnmower"), PlannerSpec("lhc_gw_conv"))
 SHORT = RandomMaps(drone=Drone(max_distance=160.0))
@@ -125,3 +127,22 @@ def test_finished_evaluation_is_extended_by_runs_and_planners(tmp_path, referenc
 def test_wrong_evaluations_are_refused(change, named):
     with pytest.raises(InvalidInput, match=named):
         dataclasses.replace(EVALUATION, **change)
+
+
+def test_a_policy_that_changes_on_the_way_ends_the_evaluation(tmp_path):
+    """As further training does that writes to the same path."""
+    path = tmp_path / "policy.safetensors"
+    policy = load_model(find_model("sac_plain"))
+    save_model(path, policy.weights, policy.card)
+    spec = PlannerSpec("sac", {"model": str(path)})
+    evaluation = Evaluation([PlannerSpec("lawnmower"), spec], runs=3, persons=5)
+    seen = []
+
+    def trained_on(records):
+        seen.extend(records)
+        other = {name: value + np.float32(0.01) for name, value in policy.weights.items()}
+        save_model(path, other, policy.card)
+
+    with pytest.raises(InvalidInput, match=r"sac: the policy .* is another one than"):
+        run_evaluation(evaluation, jobs=1, on_records=trained_on)
+    assert {record.index for record in seen} == {0}

@@ -13,6 +13,7 @@ from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.training_curves import (
     TrainingCurve,
+    check_seeds,
     draw,
     fly_fresh_maps,
     markdown,
@@ -214,3 +215,10 @@ def test_a_run_begun_on_a_gpu_is_judged_and_not_gone_on_with_on_a_cpu(
     error = capsys.readouterr().err
     assert "begun on cuda; go on with --device cuda" in error
     assert len(error.splitlines()) == 1
+
+
+def test_two_runs_of_one_seed_are_no_two_seeds() -> None:
+    curves = [curve("sac", 0, POINT), curve("sac", 1, POINT), curve("sac", 1, POINT)]
+    check_seeds(curves[:2])
+    with pytest.raises(InvalidInput, match="sac: there are 2 runs of seed 1"):
+        check_seeds(curves)

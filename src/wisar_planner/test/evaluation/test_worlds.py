@@ -199,6 +199,15 @@ def test_one_table_has_a_row_a_world_and_goes_on_where_it_stopped(tmp_path, caps
     # Finished: the runs that were kept for continuing are gone.
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.json", "table.md", "worlds.yaml"]
 
+    # Runs of a command with more of them stay.
+    beside = tmp_path / "out.json.runs"
+    more = [*SMALL, "--worlds", str(file), "--runs", "3", "--resume", str(beside)]
+    assert main(more) == 0
+    assert main([*command, "--world", "short", "--json", str(out)]) == 0
+    assert len(list(beside.glob("*.jsonl"))) == 2
+    assert "more runs, not in these results, are kept" in capsys.readouterr().err
+    assert main([*command, "--json", str(out)]) == 0
+
     kept = tmp_path / "kept.v1.2"  # a folder may have a dot in its name
     kept.mkdir()
     resumed = [*command, "--resume", str(kept), "--json", str(again)]

@@ -49,22 +49,30 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table and write what was asked for."""
-    from wisar_planner.cli.output_files import check_names
+    from wisar_planner.cli.output_files import check_names, make_places
     from wisar_planner.cli.training_needs import require
 
     require("curves of trainings need PyTorch", "torch")
-    from wisar_planner.evaluation.training_curves import draw, markdown, read_curve
+    from wisar_planner.evaluation.training_curves import check_seeds, draw, markdown, read_curve
 
-    if args.figure:
-        check_names({}, [("--figure", args.figure, (".png", ".pdf", ".svg"))])
-    curves = [read_curve(folder) for folder in args.runs]
+    outputs = [
+        (option, path, suffixes)
+        for option, path, suffixes in (
+            ("--figure", args.figure, (".png", ".pdf", ".svg")),
+            ("--markdown", args.markdown, ()),
+        )
+        if path is not None
+    ]
+    check_names({}, outputs)
+    make_places((option, path) for option, path, _ in outputs)
+    # A folder that is named twice, as by out/* and itself, is one run.
+    folders = list({folder.resolve(): folder for folder in args.runs}.values())
+    curves = [read_curve(folder) for folder in folders]
+    check_seeds(curves)
     if args.fresh_maps is not None:
-        curves = _flown(curves, args.runs, args.fresh_maps)
+        curves = _flown(curves, folders, args.fresh_maps)
     table = markdown(curves)
     print(table, end="")
-    for path in (args.markdown, args.figure):
-        if path:
-            path.parent.mkdir(parents=True, exist_ok=True)
     if args.markdown:
         args.markdown.write_text(table, encoding="utf-8")
     if args.figure:

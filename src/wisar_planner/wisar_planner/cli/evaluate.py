@@ -146,6 +146,7 @@ def run(args: argparse.Namespace) -> int:
         scenario=_scenario(args),
     )
     keep = args.resume or (args.json and args.json.with_name(args.json.name + ".runs.jsonl"))
+    store = None
     if keep is None:
         records = _with_progress(evaluation, args, None)
     else:
@@ -169,9 +170,13 @@ def run(args: argparse.Namespace) -> int:
 
         for path in save_figures(args.figures, results, records, evaluation.scenario):
             print(path)
-    if keep is not None and not args.resume:
-        keep.unlink()
+    if store is not None and not args.resume and (more := store.discard(records)):
+        print(f"{more} more runs, not in these results, are kept in {store.path}", file=sys.stderr)
     return 0
+
+
+# Least probability in the area: persons are drawn from the map until enough lie inside.
+_LEAST_INSIDE = 1e-6
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -253,10 +258,19 @@ def _scenario(args: argparse.Namespace) -> Scenario:
     from wisar_planner.pdm.gis import load_map
 
     loaded = load_map(args.map, area=args.area)
+    for note in loaded.notes:
+        print(f"{args.map}: {note}", file=sys.stderr)
     if not isinstance(start, str):
         x, y = loaded.frame.to_local([start[0]], [start[1]])[0]
         start = (float(x), float(y))
-    return FixedMap(loaded.pdm, SearchArea.from_polygon(loaded.area), args.map.name, drone, start)
+    maps = FixedMap(loaded.pdm, SearchArea.from_polygon(loaded.area), args.map.name, drone, start)
+    inside = maps.problem(args.seed, 0).probability_in_area
+    if inside < _LEAST_INSIDE:
+        raise InvalidInput(
+            f"{args.map}: its search area holds {inside:.1g} of the probability, too little to "
+            "draw missing persons from; give an area where the map says that they are"
+        )
+    return maps
 
 
 def _start_rule(text: str) -> StartRule:

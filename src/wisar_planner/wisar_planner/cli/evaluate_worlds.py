@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wisar_planner.evaluation.run import PlannerSpec
+    from wisar_planner.evaluation.run import PlannerSpec, RunRecord
+    from wisar_planner.evaluation.store import RunStore
     from wisar_planner.evaluation.worlds import World
 
 # What a world says itself, or what has no meaning for several.
@@ -42,6 +43,7 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
     worlds = selected_worlds(args)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
+    stores: list[tuple[RunStore, Sequence[RunRecord]]] = []
     results = {
         "setup": {
             "worlds": str(args.worlds),
@@ -50,7 +52,7 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
             "persons": args.persons,
             "planners": {spec.name: spec.identity() for spec in planners},
         },
-        "worlds": _run_all(args, planners, worlds, keep),
+        "worlds": _run_all(args, planners, worlds, keep, stores),
     }
     table = worlds_markdown(results)
     print(table, end="")
@@ -61,9 +63,12 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
         if path:
             path.write_text(text, encoding="utf-8")
     if keep is not None and not args.resume:
-        for file in keep.glob("runs-*.jsonl"):
-            file.unlink()
-        keep.rmdir()
+        for store, records in stores:
+            store.discard(records)
+        if any(keep.iterdir()):
+            print(f"more runs, not in these results, are kept in {keep}", file=sys.stderr)
+        else:
+            keep.rmdir()
     return 0
 
 
@@ -96,8 +101,12 @@ def _run_all(
     planners: Sequence[PlannerSpec],
     worlds: Sequence[World],
     keep: Path | None,
+    stores: list[tuple[RunStore, Sequence[RunRecord]]],
 ) -> dict[str, Any]:
-    """Return the numbers of each world, with a progress bar on standard error."""
+    """Return the numbers of each world, with a progress bar on standard error.
+
+    Where runs are kept, `stores` gets where, and which are in the numbers.
+    """
     from contextlib import nullcontext
 
     from rich.console import Console
@@ -147,6 +156,8 @@ def _run_all(
                         store=store,
                         on_records=lambda fresh: progress.advance(task, len(fresh)),
                     )
+                if store is not None:
+                    stores.append((store, records))
                 runnable = sum(w.scenario is not None for w in worlds[: position + 1])
                 progress.update(task, completed=each * runnable)
                 found[world.name] = summarise_world(evaluation, records, jobs=args.jobs)

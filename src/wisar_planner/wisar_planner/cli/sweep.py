@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         **{name: value for name, value in given.items() if value},
     )
+    _check_outputs(args)
     keep = args.resume or (args.json and args.json.with_name(args.json.name + ".samples.jsonl"))
     store = SweepStore(keep, sweep.common_setup()) if keep else None
     records = _with_progress(sweep, args, store)
@@ -117,9 +119,28 @@ def run(args: argparse.Namespace) -> int:
     if args.figures:
         for path in save_figures(args.figures, results):
             print(path)
-    if keep is not None and not args.resume:
-        keep.unlink()
+    if store is not None and not args.resume and (more := store.discard(e.index for e in records)):
+        print(f"{more} more samples, not in these results, are kept in {keep}", file=sys.stderr)
     return 0
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Refuse what cannot be written, or would overwrite what is read, before days of training."""
+    from wisar_planner.cli.output_files import check_names, make_places
+
+    read = {"the configuration": args.config, "--resume": args.resume}
+    outputs = [
+        (option, path)
+        for option, path in (("--json", args.json), ("--markdown", args.markdown))
+        if path is not None
+    ]
+    check_names(
+        {name: path for name, path in read.items() if path is not None},
+        [(option, path, ()) for option, path in outputs],
+    )
+    if args.figures:
+        outputs.append(("--figures", args.figures / "p_values.png"))
+    make_places(outputs)
 
 
 def _with_progress(

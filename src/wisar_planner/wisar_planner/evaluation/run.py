@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from wisar_planner.errors import FloatArray
+from wisar_planner.errors import FloatArray, InvalidInput
 from wisar_planner.evaluation.scenario import Scenario, persons_in_area
 from wisar_planner.planners.base import Planner
 from wisar_planner.planners.registry import make_planner, planner_options
+from wisar_planner.planners.sac import trained_policy
 from wisar_planner.policy.model import find_model
 from wisar_planner.search import SearchPath, SearchProblem, distance_to_find, upper_bound
 from wisar_planner.search.path import walking_distances
@@ -138,7 +139,12 @@ class RunRecord:
 
 
 def evaluate_map(
-    scenario: Scenario, planners: Sequence[PlannerSpec], seed: int, index: int, persons: int
+    scenario: Scenario,
+    planners: Sequence[PlannerSpec],
+    seed: int,
+    index: int,
+    persons: int,
+    policies: Mapping[str, str] | None = None,
 ) -> list[RunRecord]:
     """Let the planners search one map and record how each of them does.
 
@@ -152,9 +158,13 @@ def evaluate_map(
         Which map.
     persons : int
         Missing persons to draw.
+    policies : mapping of str to str, optional
+        SHA-256 of the trained policy that a planner must have, by the planner's name.
 
     Raises
     ------
+    InvalidInput
+        If a planner has another policy.
     RuntimeError
         If a planner fails; the message says on which map.
     """
@@ -169,11 +179,30 @@ def evaluate_map(
         try:
             path = planner.plan(problem)
         except Exception as error:
+            _check_policy(spec, planner, policies)
             # Whoever looks into it needs to know which problem to make again.
             raise RuntimeError(f"{spec.name} failed on map {index} of seed {seed}") from error
         seconds = time.perf_counter() - begin
+        _check_policy(spec, planner, policies)
         records.append(_record(spec.name, index, problem, bound, path, positions, seconds))
     return records
+
+
+def _check_policy(spec: PlannerSpec, planner: Planner, policies: Mapping[str, str] | None) -> None:
+    """Raise InvalidInput where a planner flies another trained policy than it should.
+
+    Further training writes other weights to the same path, and the machines of a cluster may have
+    other ones of the same name.
+    """
+    wanted = (policies or {}).get(spec.name)
+    if wanted is None:
+        return
+    name = getattr(planner, _MODEL_OPTION)
+    if trained_policy(name).card["weights_sha256"] != wanted:
+        raise InvalidInput(
+            f"{spec.name}: the policy {name} is another one than the evaluation began with; runs "
+            "of two policies do not mix. Copy the files to a place where nothing changes them"
+        )
 
 
 def warm_up(scenario: Scenario, planners: Sequence[PlannerSpec], seed: int) -> None:

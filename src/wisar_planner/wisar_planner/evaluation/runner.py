@@ -13,6 +13,7 @@ from wisar_planner.errors import InvalidInput
 from wisar_planner.evaluation.run import (
     CURVE_STEPS,
     FIND_BINS,
+    MODEL_HASH,
     PlannerSpec,
     RunRecord,
     evaluate_map,
@@ -109,6 +110,11 @@ def run_evaluation(
     -------
     list of RunRecord
         All runs, planner by planner in the order given, then by index.
+
+    Raises
+    ------
+    InvalidInput
+        If a trained policy changes on the way, or a worker has another one of the same name.
     """
     order = {spec.name: position for position, spec in enumerate(evaluation.planners)}
     records = [
@@ -116,12 +122,14 @@ def run_evaluation(
         for record in (store.records if store else ())
         if record.planner in order and record.index < evaluation.runs
     ]
+    identities = {spec.name: spec.identity() for spec in evaluation.planners}
+    policies = {name: each[MODEL_HASH] for name, each in identities.items() if MODEL_HASH in each}
     tasks = _tasks(evaluation, {(record.planner, record.index) for record in records})
     if tasks:
         # Compile into the cache once here, not in every worker at the same time.
         warm_up(evaluation.scenario, evaluation.planners, evaluation.seed)
         with parallel_pool(jobs, dask) as parallel:
-            for fresh in parallel(joblib.delayed(evaluate_map)(*task) for task in tasks):
+            for fresh in parallel(joblib.delayed(evaluate_map)(*task, policies) for task in tasks):
                 records.extend(fresh)
                 if store:
                     store.append(fresh)

@@ -58,6 +58,8 @@ class RunStore:
             path = path / f"runs-{setup_digest(setup)}.jsonl"
         self.path = path
         self.records: list[RunRecord] = []
+        # All runs in the file, those of other planners, too.
+        self._kept: set[tuple[str, int]] = set()
         self._setup = dict(setup)
         self._planners = {spec.name: spec.identity() for spec in planners}
         self._options: dict[str, dict[str, Any]] = {}
@@ -77,11 +79,29 @@ class RunStore:
                 self._write({"planner": record.planner, "options": options})
                 self._options[record.planner] = options
             self._write({"run": asdict(record)})
-            self.records.append(record)
+            self._add(record)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def discard(self, told: Iterable[RunRecord]) -> int:
+        """Remove the closed file, unless it has more runs than have been told of.
+
+        Parameters
+        ----------
+        told : iterable of RunRecord
+            Runs that are in results by now.
+
+        Returns
+        -------
+        int
+            How many runs are in no results, and keep the file: of more maps, or of other planners.
+        """
+        more = len(self._kept - {(record.planner, record.index) for record in told})
+        if not more:
+            self.path.unlink()
+        return more
 
     def __enter__(self) -> RunStore:
         return self
@@ -131,9 +151,12 @@ class RunStore:
             self._check(options, wanted, f"{name} with")
             self._options[name] = options
         else:
-            record = RunRecord(**line["run"])
-            if record.planner in self._planners:
-                self.records.append(record)
+            self._add(RunRecord(**line["run"]))
+
+    def _add(self, record: RunRecord) -> None:
+        self._kept.add((record.planner, record.index))
+        if record.planner in self._planners:
+            self.records.append(record)
 
     def _check(self, found: Mapping[str, Any], wanted: Mapping[str, Any], what: str) -> None:
         """Refuse to mix runs that are not comparable, saying how they differ."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,19 @@ class SweepStore:
                 file.write(json.dumps({"sweep": self._setup}, allow_nan=False) + "\n")
             file.write(json.dumps(record, allow_nan=False) + "\n")
         self.records.append(record)
+
+    def discard(self, told: Iterable[int]) -> int:
+        """Remove the file, unless it has more samples than those told of by their indices.
+
+        Returns
+        -------
+        int
+            How many samples are in no results, and keep the file.
+        """
+        more = len({int(record["index"]) for record in self.records} - set(told))
+        if not more:
+            self.path.unlink(missing_ok=True)
+        return more
 
     def _read(self) -> None:
         """Read what is there and cut off a last line that was not written to its end."""

@@ -147,6 +147,23 @@ def fly_fresh_maps(
     return dataclasses.replace(curve, fresh_share=_mean(shares), fresh_by_raster=model is None)
 
 
+def check_seeds(curves: Sequence[TrainingCurve]) -> None:
+    """Check that runs of one configuration differ in their seeds, whose spread the table tells.
+
+    Raises
+    ------
+    InvalidInput
+        When two have the same.
+    """
+    for policy, runs in _by_configuration(curves).items():
+        seeds = [run.seed for run in runs]
+        if twice := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
+            raise InvalidInput(
+                f"{policy}: there are {seeds.count(twice[0])} runs of seed {twice[0]}, whose "
+                "spread would be taken for that of seeds; name one of them"
+            )
+
+
 def markdown(curves: Sequence[TrainingCurve]) -> str:
     """Return a table with a line per configuration, the best first; ± is the spread over seeds."""
     lines = [
