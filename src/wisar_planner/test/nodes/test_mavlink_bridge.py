@@ -47,6 +47,8 @@ class FakeClient:
         self.counters = Counters()
         self.outcome = VERIFIED
         self.during: Callable[[], None] = lambda: None  # what happens during an upload
+        self.changes: tuple[str, ...] = ()  # of the mission since its upload
+        self.reads = 0
 
     def upload(
         self, mission: object, *, on_progress: Callable[[UploadProgress], None], **_: Any
@@ -70,6 +72,11 @@ class FakeClient:
 
     arm = start_mission = pause = resume = return_to_launch = close = ask
 
+    def changes_since(self, _mission: object) -> tuple[str, ...]:
+        """Read back what the vehicle holds."""
+        self.reads += 1
+        return self.changes
+
 
 @pytest.fixture
 def bridge(monkeypatch: pytest.MonkeyPatch) -> Iterator[MavlinkBridge]:
@@ -82,10 +89,12 @@ def bridge(monkeypatch: pytest.MonkeyPatch) -> Iterator[MavlinkBridge]:
     rclpy.try_shutdown()
 
 
-def give_map(bridge: MavlinkBridge, map_id: str, seconds: int = 1) -> None:
+def give_map(
+    bridge: MavlinkBridge, map_id: str, seconds: int = 1, origin: GeoOrigin = ORIGIN
+) -> None:
     mixture = GaussianMixture([1.0], [[40.0, 20.0]], [[[400.0, 0.0], [0.0, 300.0]]])
     area = SearchArea.rectangle(-50.0, -50.0, 150.0, 150.0)
-    located = LocatedMap(map_id, mixture, area, ORIGIN, seconds * 1_000_000_000)
+    located = LocatedMap(map_id, mixture, area, origin, seconds * 1_000_000_000)
     bridge._on_map(conversions.map_to_msg(located))
 
 
@@ -106,10 +115,17 @@ def give_plan(bridge: MavlinkBridge, map_id: str) -> None:
     bridge._on_plan(conversions.plan_to_msg(plan))
 
 
-def upload(bridge: MavlinkBridge, outcome: UploadResult = VERIFIED) -> UploadMission.Result:
+def asking(bridge: MavlinkBridge, act: Callable[[], None]) -> Callable[[], Trigger.Response]:
+    """Return what calls a service that asks the vehicle."""
+    return lambda: bridge._explicit_request(act)(None, Trigger.Response())
+
+
+def upload(
+    bridge: MavlinkBridge, outcome: UploadResult = VERIFIED, map_id: str = ""
+) -> UploadMission.Result:
     bridge._client.outcome = outcome
     goal = SimpleNamespace(
-        request=UploadMission.Goal(),
+        request=UploadMission.Goal(map_id=map_id),
         is_cancel_requested=False,
         publish_feedback=lambda _: None,
         succeed=lambda: None,
@@ -264,20 +280,84 @@ def test_plan_files_with_a_rally_point_wait_for_the_vehicle(bridge, tmp_path: Pa
 
 def test_a_mission_that_this_bridge_has_not_verified_is_not_started(bridge: MavlinkBridge) -> None:
     """As after a restart: the vehicle may hold a mixture, or another day's mission."""
-
-    def start() -> Trigger.Response:
-        return bridge._explicit_request(bridge._start_mission)(None, Trigger.Response())
-
+    start, resume = (asking(bridge, act) for act in (bridge._start_mission, bridge._resume))
     give_map(bridge, "map")
     give_plan(bridge, "map")
-    assert not start().success
-    assert "upload_mission first" in start().message
+    bridge._client.tell(armed=True, custom_mode=HOLD)
+    for act in (start, resume):
+        assert not act().success
+        assert "call upload_mission" in act().message
     upload(bridge)
     assert start().success
+    assert resume().success
     upload(bridge, UploadResult(UploadCode.INCOMPLETE, old_counts=False, error="no answer"))
     assert not start().success
+    assert not resume().success
     bridge._client.link_status = LinkStatus(False, "no link")
-    assert start().success  # the client says that there is no link
+    assert not start().success
+
+
+def test_a_bridge_begun_in_flight_resumes_what_it_has_seen_flown(bridge: MavlinkBridge) -> None:
+    resume = asking(bridge, bridge._resume)
+    bridge._client.tell(armed=True, custom_mode=IN_MISSION)
+    bridge._client.tell(armed=True, custom_mode=HOLD)
+    assert resume().success
+
+
+@pytest.mark.parametrize("request_name", ["_arm", "_start_mission"])
+def test_another_mission_on_the_vehicle_is_seen_before_it_is_flown(holding, request_name) -> None:
+    """Another ground station put it there, or another vehicle was switched on."""
+    request = asking(holding, getattr(holding, request_name))
+    holding._client.changes = ("item 3: place became another",)
+    assert request().success  # it was read back just now
+    assert holding._client.reads == 0
+    holding._on_link(LinkStatus(False, "lost"))
+    holding._on_link(LinkStatus(True, "linked"))
+    answer = request()
+    assert not answer.success
+    assert "does not hold what was verified any more (item 3" in answer.message
+    assert holding._state == MissionStatus.FAILED
+    assert holding._map_id == ""
+    assert not asking(holding, holding._start_mission)().success
+
+
+def test_a_mission_that_is_still_there_is_started_after_it_was_read_again(holding) -> None:
+    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    assert asking(holding, holding._arm)().success
+    assert asking(holding, holding._start_mission)().success
+    assert holding._client.reads == 1
+    assert holding._state == MissionStatus.VERIFIED
+
+
+def test_the_plan_of_an_older_map_is_uploaded_by_name_only(bridge: MavlinkBridge) -> None:
+    give_map(bridge, "a")
+    give_plan(bridge, "a")
+    give_map(bridge, "b", 2)
+    refused = upload(bridge)
+    assert refused.error_code == UploadMission.Result.WRONG_MAP
+    assert "'b' is newer" in refused.error_text
+    assert upload(bridge, map_id="a").error_code == UploadMission.Result.NONE
+
+
+def test_a_map_of_the_same_id_elsewhere_is_not_that_of_the_plan(bridge: MavlinkBridge) -> None:
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    assert bridge._map_of(bridge._plan) is not None
+    give_map(bridge, "map", 2, GeoOrigin(ORIGIN.latitude + 0.01, ORIGIN.longitude))
+    bridge.set_parameters([Parameter("fence", value=True)])
+    bridge._map = bridge._maps.current
+    assert bridge._map_of(bridge._plan) is None
+    assert "not known yet" in upload(bridge).error_text
+
+
+def test_without_a_vehicle_nothing_is_sent_and_the_state_stays(holding) -> None:
+    holding._client.link_status = LinkStatus(False, "no heartbeat heard yet")
+    holding._client.during = lambda: pytest.fail("an upload was begun")
+    before = holding._state, holding._text
+    result = upload(holding)
+    assert result.error_code == UploadMission.Result.NO_LINK
+    assert "no heartbeat heard yet" in result.error_text
+    assert (holding._state, holding._text) == before
 
 
 def test_in_flight_the_takeoff_is_where_the_vehicle_is(bridge: MavlinkBridge) -> None:

@@ -125,6 +125,7 @@ class MissionClient:
         self._starting = False
         self._doubtful = False  # whether the last upload left a mission that nobody has verified
         self._unstarted = False  # whether a mission has been sent that was never flown since
+        self._fence_ahead = False  # whether the fence may be newer than the mission
         self._uploaded_at = -math.inf
 
         def heard(vehicle: VehicleState) -> None:
@@ -260,6 +261,7 @@ class MissionClient:
             if MissionKind.MISSION in kinds and not result.old_counts:
                 self._doubtful = not result.verified
                 self._unstarted = True
+            self._fence_ahead = not result.verified and (self._fence_ahead or result.fence_touched)
             self._uploaded_at = time.monotonic()
             return result
         finally:
@@ -297,6 +299,25 @@ class MissionClient:
                 words = mission_result(download.result)
             raise LinkError(f"reading the {kind.name.lower()} list failed: {words}")
         return state.dialect.from_wire(kind, download.items)
+
+    def changes_since(self, mission: Mission) -> tuple[str, ...]:
+        """Read the vehicle's flight back and say how it differs from a mission uploaded before.
+
+        Another ground station may have put something else there, or it is another vehicle.
+
+        Returns
+        -------
+        tuple of str
+            See `Dialect.differences`; empty if the vehicle holds that mission.
+
+        Raises
+        ------
+        LinkError
+            See `download`.
+        """
+        found = self.download(MissionKind.MISSION)
+        dialect = self._require_vehicle().dialect
+        return dialect.differences(MissionKind.MISSION, mission.of_kind(MissionKind.MISSION), found)
 
     # -- explicit requests to the vehicle ------------------------------------------------------
 
@@ -450,6 +471,11 @@ class MissionClient:
             return (
                 "the last upload did not end verified, and the vehicle may hold anything; upload "
                 "again first"
+            )
+        if self._fence_ahead:
+            return (
+                "the last upload ended between fence and mission: the fence is new and the mission "
+                "old; upload again first"
             )
         if vehicle is None or now - vehicle.heard_at > _FRESH_S:
             return f"no heartbeat for {_FRESH_S:g} s; check the link, then start again"

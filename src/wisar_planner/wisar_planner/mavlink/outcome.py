@@ -63,6 +63,8 @@ class UploadResult:
         Times that sending a list was begun, over all lists.
     elapsed_s
         Duration in seconds.
+    fence_touched
+        Whether the autopilot may hold another fence than before.
     notes
         What else to know, in one sentence each, such as which lists were deleted.
     old_counts
@@ -78,6 +80,7 @@ class UploadResult:
     attempts: int = 0
     elapsed_s: float = 0.0
     old_counts: bool = True
+    fence_touched: bool = False
     notes: tuple[str, ...] = ()
 
     @property

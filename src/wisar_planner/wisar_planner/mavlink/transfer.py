@@ -263,5 +263,9 @@ class MissionTransfer:
             attempts=sum(t.attempts for _, t in self._lists),
             elapsed_s=now - self._started_at,
             old_counts=old_counts,
+            fence_touched=any(
+                k is MissionKind.FENCE and not (t.old_counts and t.code is not UploadCode.VERIFIED)
+                for k, t in self._lists
+            ),
             notes=(f"deleted on the vehicle: {' and '.join(gone)}",) if gone else (),
         )

@@ -26,6 +26,7 @@ from wisar_planner.mavlink.client import LinkError, LinkStatus, MissionClient
 from wisar_planner.mavlink.files import write_plan_file
 from wisar_planner.mavlink.flight import FlightTracker
 from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.modes import flies_mission
 from wisar_planner.mavlink.outcome import UploadProgress
 from wisar_planner.mavlink.search_mission import MissionSettings, search_mission
 from wisar_planner.mavlink.vehicle import VehicleState
@@ -39,6 +40,8 @@ from wisar_planner.pdm.geodesy import LocalFrame
 Result = UploadMission.Result
 STATUS_PERIOD = 1.0
 """Seconds between two `mission_status` messages when nothing changes."""
+PROOF_LASTS = 60.0
+"""Seconds after which a mission that was read back is read again before it is started."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,11 @@ class _LocatedMission:
     plan: Plan
     mission: Mission
     located: LocatedMap | None
+
+
+def _made_of(plan: Plan, located: LocatedMap) -> bool:
+    """Return whether a plan is of a map: an id may come again for a map of another place."""
+    return plan.map_id == located.map_id and plan.origin == located.origin
 
 
 class MavlinkBridge(Node):
@@ -68,6 +76,8 @@ class MavlinkBridge(Node):
         self._map: LocatedMap | None = None  # of the last plan; the last one until that is here
         self._verified: _LocatedMission | None = None  # what the vehicle holds
         self._tracker: FlightTracker | None = None  # of that
+        self._proved_at = -math.inf  # when that was read back
+        self._seen_flying = False  # whether the vehicle has flown its mission since this began
         self._under_way = False  # whether a flight of that has begun and not ended
         self._files_wait = ""  # why the plan's files are not written yet; empty if they are
         self._state = MissionStatus.NO_LINK
@@ -100,10 +110,13 @@ class MavlinkBridge(Node):
             callback_group=group,
         )
         requests = {
-            name: getattr(self._client, name)
-            for name in ("arm", "pause", "resume", "return_to_launch")
+            "arm": self._arm,
+            "start_mission": self._start_mission,
+            "pause": self._client.pause,
+            "resume": self._resume,
+            "return_to_launch": self._client.return_to_launch,
         }
-        for name, act in {**requests, "start_mission": self._start_mission}.items():
+        for name, act in requests.items():
             request = self._explicit_request(act)
             self.create_service(Trigger, name, request, callback_group=group)
         # By the steady clock: a vehicle's link is lost in real time, whatever time is simulated.
@@ -226,7 +239,7 @@ class MavlinkBridge(Node):
         self._publish_status()
 
     def _is_of_plan(self, located: LocatedMap) -> bool:
-        return self._plan is not None and self._plan.map_id == located.map_id
+        return self._plan is not None and _made_of(self._plan, located)
 
     def _on_plan(self, message: SearchPlan) -> None:
         try:
@@ -300,7 +313,7 @@ class MavlinkBridge(Node):
 
     def _map_of(self, plan: Plan) -> LocatedMap | None:
         located = self._map
-        return located if located is not None and located.map_id == plan.map_id else None
+        return located if located is not None and _made_of(plan, located) else None
 
     def _vehicle_place(self) -> tuple[float, float] | None:
         vehicle = self._client.vehicle
@@ -316,7 +329,7 @@ class MavlinkBridge(Node):
     def _reasons_against(self, mission: Mission) -> tuple[str, ...]:
         """Return why a mission must not be uploaded."""
         place = self._vehicle_place()
-        if place is None and self._client.link_status.connected:
+        if place is None:
             return (
                 "the vehicle's position is not known now, so that the distances cannot be "
                 "checked; wait for its GPS, then upload again",
@@ -341,6 +354,17 @@ class MavlinkBridge(Node):
                 Result.WRONG_MAP,
                 f"the last plan is of map {plan.map_id!r}, not of {goal.request.map_id!r}",
             )
+        newest = self._maps.current
+        if not goal.request.map_id and newest is not None and newest.map_id != plan.map_id:
+            return self._refuse(
+                goal,
+                Result.WRONG_MAP,
+                f"the last plan is of map {plan.map_id!r}, but {newest.map_id!r} is newer; wait "
+                f"for its plan, or ask for {plan.map_id!r} by name",
+            )
+        # Without a vehicle there is no place to measure from; one heard meanwhile is next time's.
+        if not (link := self._client.link_status).connected:
+            return self._refuse(goal, Result.NO_LINK, f"no vehicle to talk to: {link.text}")
         # A new plan's map may take its place during the upload.
         located = self._map_of(plan)
         try:
@@ -374,6 +398,7 @@ class MavlinkBridge(Node):
         )
         if outcome.verified:
             self._map_id, self._verified = wanted.plan.map_id, wanted
+            self._proved_at = time.monotonic()
             self._under_way = False
             self._track(wanted)
             count = len(mission.items)
@@ -384,7 +409,7 @@ class MavlinkBridge(Node):
             goal.succeed()
             return Result(error_code=Result.NONE, error_text="; ".join(notes), items=count)
         if not outcome.old_counts:  # nobody knows what the vehicle would fly now
-            self._map_id, self._verified, self._tracker = "", None, None
+            self._forget()
         text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))
         self.get_logger().error(f"upload failed: {text}")
         # An objection may also come to a later attempt, after a part has been overwritten.
@@ -415,7 +440,15 @@ class MavlinkBridge(Node):
             else FlightTracker(located.pdm, plan.path, LocalFrame(plan.origin), verified.mission)
         )
 
+    def _forget(self) -> None:
+        """Take the vehicle's mission for an unknown one."""
+        self._map_id, self._verified, self._tracker = "", None, None
+
     def _on_vehicle(self, vehicle: VehicleState) -> None:
+        if vehicle.armed and flies_mission(
+            vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode
+        ):
+            self._seen_flying = True
         tracker = self._tracker
         if tracker is None:
             return
@@ -456,18 +489,61 @@ class MavlinkBridge(Node):
 
     # Requests to the vehicle
 
+    def _arm(self) -> None:
+        """Arm; look first whether the mission is still the one, as vehicles disarm soon again."""
+        if self._state != MissionStatus.UPLOADING:
+            self._prove("arming")
+        self._client.arm()
+
     def _start_mission(self) -> None:
         """Start what this bridge has verified.
 
-        A vehicle may hold anything else: the mission of another day, another vehicle's, or the
-        mixture that an upload left when the bridge was ended in the middle of it.
+        A vehicle may hold anything else: the mission of another day, another vehicle's, what
+        another ground station has put there since, or the mixture that an upload left when the
+        bridge was ended in the middle of it.
         """
-        if self._verified is None and self._client.link_status.connected:
+        words = "start of the mission"
+        if self._verified is None:
             raise LinkError(
-                "start of the mission: this bridge has verified none since it began; call "
-                "upload_mission first"
+                f"{words}: this bridge has verified none since it began, or not what the vehicle "
+                "holds now; call upload_mission first"
             )
+        if self._state != MissionStatus.UPLOADING:
+            self._prove(words)
         self._client.start_mission()
+
+    def _resume(self) -> None:
+        """Go on with what this bridge has verified, or has itself seen the vehicle fly."""
+        if self._verified is None and not self._seen_flying:
+            raise LinkError(
+                "resume: this bridge has neither verified a mission nor seen the vehicle fly one "
+                "since it began; call upload_mission, then start_mission"
+            )
+        self._client.resume()
+
+    def _prove(self, words: str) -> None:
+        """Read the verified mission back again, unless that was done just now.
+
+        Raises
+        ------
+        LinkError
+            If the vehicle holds another one, which counts as unknown from then on, or does not
+            answer.
+        """
+        verified = self._verified
+        if verified is None or time.monotonic() - self._proved_at < PROOF_LASTS:
+            return
+        differences = self._client.changes_since(verified.mission)
+        if not differences:
+            self._proved_at = time.monotonic()
+            return
+        self._forget()
+        text = (
+            "the vehicle does not hold what was verified any more "
+            f"({'; '.join(differences[:2])}); call upload_mission again"
+        )
+        self._set_state(MissionStatus.FAILED, text, (0, len(verified.mission.items)))
+        raise LinkError(f"{words}: {text}")
 
     def _explicit_request(
         self, act: Callable[[], None]
@@ -488,6 +564,8 @@ class MavlinkBridge(Node):
 
     def _on_link(self, status: LinkStatus) -> None:
         self.get_logger().info(status.text)
+        if not status.connected:
+            self._proved_at = -math.inf  # what is heard next may be another vehicle
         if self._state in (MissionStatus.NO_LINK, MissionStatus.IDLE):
             state = MissionStatus.IDLE if status.connected else MissionStatus.NO_LINK
             self._set_state(state, status.text, self._items)
