@@ -285,6 +285,28 @@ def test_arming_and_start_are_given_up_soon(name):
         assert time.monotonic() - began < 5.0
 
 
+def test_arming_is_given_up_soon_where_a_mode_is_shown_late():
+    """A copter of ArduPilot in RTL: GUIDED is shown after 2.5 s, arming is never answered."""
+    asked_at = []
+
+    def guided_later(vehicle, message):
+        if message.get_type() == "COMMAND_LONG" and message.command == mav.MAV_CMD_DO_SET_MODE:
+            asked_at.append(time.monotonic())
+        if asked_at and time.monotonic() - asked_at[0] > 2.5:
+            vehicle.custom_mode = 4
+        return []
+
+    with talking_to(guided_later, autopilot=mav.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode=6) as (
+        vehicle,
+        client,
+    ):
+        began = time.monotonic()
+        with pytest.raises(LinkError, match="does not answer"):
+            client.arm()
+        assert time.monotonic() - began < 4.5
+        assert vehicle.commands(mav.MAV_CMD_DO_SET_MODE)
+
+
 @pytest.mark.parametrize("mode", [IN_MISSION, RETURNING, TAKEOFF])
 def test_a_vehicle_that_would_fly_off_is_not_armed(mode):
     """It is put into hold first; one that stays in the mode is not armed."""
@@ -293,6 +315,17 @@ def test_a_vehicle_that_would_fly_off_is_not_armed(mode):
             client.arm()
         assert {m.command for m in vehicle.commands()} == {mav.MAV_CMD_DO_SET_MODE}
         assert not vehicle.armed
+
+
+def test_a_failsafe_on_the_ground_does_not_let_an_ardupilot_resume():
+    state = {"autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA, "armed": True, "custom_mode": 17}
+    with talking_to(acknowledge, **state) as (vehicle, client):
+        wait_for(lambda: client.vehicle.landed)
+        vehicle.status = mav.MAV_STATE_CRITICAL
+        heard = client.vehicle.heard_at
+        wait_for(lambda: client.vehicle.heard_at > heard + 0.3)
+        with pytest.raises(LinkError, match="on the ground"):
+            client.resume()
 
 
 def test_resume_needs_an_armed_vehicle_in_the_air():
@@ -457,6 +490,47 @@ def test_a_mission_uploaded_in_a_pause_is_started_and_not_resumed():
         client.pause()
         client.resume()
         assert vehicle.custom_mode == AUTO
+
+
+class FencedCopter(Copter):
+    """One that has a fence, too, and refuses missions until it `takes_missions`."""
+
+    def __init__(self):
+        super().__init__()
+        self.lists, self.kind, self.takes_missions = {0: (), 1: ()}, 0, False
+
+    def __call__(self, vehicle, message):
+        self.kind = getattr(message, "mission_type", self.kind)
+        refusal = mav.MAVLink_mission_ack_message(245, 190, mav.MAV_MISSION_INVALID, 0)
+        if message.get_type() == "MISSION_COUNT" and self.kind == 0 and not self.takes_missions:
+            return [refusal]
+        self.held = self.lists[self.kind]
+        answers = super().__call__(vehicle, message)
+        self.lists[self.kind] = self.held
+        for answer in answers:
+            if answer.get_type().startswith("MISSION"):
+                answer.mission_type = self.kind
+        return answers
+
+
+def test_an_old_mission_is_not_flown_in_a_new_fence():
+    """The fence is new and the mission refused: start and resume wait for another upload."""
+    square = [(56.9, -4.1), (57.1, -4.1), (57.1, -3.9), (56.9, -3.9)]
+    fenced = build_mission([(57.0, -4.0)], altitude_m=40.0, inclusions=[square])
+    state = {"autopilot": mav.MAV_AUTOPILOT_ARDUPILOTMEGA, "status": mav.MAV_STATE_ACTIVE}
+    answer = FencedCopter()
+    with talking_to(answer, armed=True, custom_mode=BRAKE, **state) as (vehicle, client):
+        client.resume()
+        client.pause()
+        result = client.upload(fenced)
+        assert (result.verified, result.old_counts, result.fence_touched) == (False, True, True)
+        for request in (client.start_mission, client.resume):
+            with pytest.raises(LinkError, match="the fence is new and the mission old"):
+                request()
+        assert vehicle.custom_mode == BRAKE
+        answer.takes_missions = True
+        assert client.upload(fenced).verified
+        client.start_mission()
 
 
 def test_a_new_mission_that_somebody_else_has_started_may_be_resumed():

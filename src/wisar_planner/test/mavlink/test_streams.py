@@ -56,6 +56,23 @@ def test_what_ends_is_asked_for_again():
     assert {code for _, code in asked} == {POSITION.id, CURRENT.id, HOME.id}
 
 
+def test_a_connection_that_broke_for_a_moment_is_told_as_well_again():
+    session, ground, vehicle = Session(Address(245, 190), "test"), Codec(245, 190), Codec(7, 1)
+
+    def beat(now):
+        for message in ground.decode(vehicle.encode(BEAT))[0]:
+            session.receive(message, now)
+
+    beat(1.0)
+    linked = session.status
+    assert linked.connected
+    session.connection_lost("the other end closed the connection")
+    session.tick(2.0)
+    assert "closed" in session.status.text
+    beat(3.0)
+    assert session.status == linked
+
+
 def test_a_silent_vehicle_is_not_asked():
     session, ground, vehicle = Session(Address(245, 190), "test"), Codec(245, 190), Codec(7, 1)
     for message in ground.decode(vehicle.encode(BEAT))[0]:

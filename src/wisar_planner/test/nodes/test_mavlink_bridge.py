@@ -223,6 +223,32 @@ def test_the_way_home_after_the_search_ends_with_completion(holding) -> None:
     assert holding._state == MissionStatus.COMPLETED
 
 
+@pytest.mark.parametrize("end", ["loiter", "return_to_launch"])
+def test_a_mission_that_is_started_again_in_the_air_is_counted_anew(bridge, end) -> None:
+    bridge.set_parameters([Parameter("end", value=end)])
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    upload(bridge)
+    fly(bridge)
+    last = {"reached_item": FIRST + 2}
+    fly(bridge, current_item=FIRST + 3, **last)
+    assert bridge._items == (3, 3) or end == "return_to_launch"
+    assert (bridge._state == MissionStatus.COMPLETED) == (end == "loiter")
+    fly(bridge, current_item=0, **last)
+    for _ in range(3):
+        fly(bridge, current_item=FIRST + 1, **last)
+        assert (bridge._state, bridge._items) == (MissionStatus.FLYING, (0, 3))
+    fly(bridge, current_item=FIRST + 1, reached_item=FIRST)
+    assert (bridge._state, bridge._items) == (MissionStatus.FLYING, (1, 3))
+
+
+def test_a_fence_comes_with_a_word_on_the_vehicles_settings(bridge: MavlinkBridge) -> None:
+    bridge.set_parameters([Parameter("fence", value=True)])
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    assert "FENCE_ENABLE" in upload(bridge).error_text
+
+
 def test_a_mission_verified_in_a_pause_is_not_flown_before_it_is_started(holding) -> None:
     fly(holding)
     fly(holding, custom_mode=HOLD)

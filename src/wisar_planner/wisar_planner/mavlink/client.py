@@ -516,7 +516,9 @@ class MissionClient:
         """
         state = self._require_vehicle()
         steps = commands_for(intent, state.autopilot, state.vehicle_type, state.custom_mode)
-        limit = _ARMED_WITHIN_S if intent in (Intent.ARM, Intent.START) else None
+        # For all steps together, as the first may take its time on a slow link.
+        until = time.monotonic() + _ARMED_WITHIN_S
+        is_limited = intent in (Intent.ARM, Intent.START)
         for code, params in steps:
             makes_armable = intent is Intent.ARM and code == mav.MAV_CMD_DO_SET_MODE
             command = Command(
@@ -527,7 +529,7 @@ class MissionClient:
                 shown_by=shown_by(code, params, state.autopilot, state.vehicle_type),
                 # A start that was heard begins the mission anew each time it is sent.
                 insists=code != mav.MAV_CMD_MISSION_START,
-                limit_s=limit,
+                limit_s=max(0.0, until - time.monotonic()) if is_limited else None,
                 objection=(lambda _: "") if makes_armable else objection,
             )
             self._ask(words, command, check)

@@ -62,8 +62,9 @@ class FlightTracker:
     joined by a straight line if they were reported within `max_gap_s` of each other; where the
     vehicle was during a longer silence is not known, and nothing is counted.
 
-    Items reached count from the moment the motors are armed, so that an earlier flight does not
-    complete this one; what was seen adds up over all flights of the mission.
+    Items reached count from the moment the motors are armed, or the mission is begun anew in the
+    air, so that an earlier flight does not complete this one; what was seen adds up over all
+    flights of the mission.
 
     Parameters
     ----------
@@ -126,6 +127,8 @@ class FlightTracker:
         mode = (state.autopilot, state.vehicle_type, state.custom_mode)
         on_mission = state.armed and may_fly_mission(*mode)
         self._flying = on_mission and self._on_search(state.current_item)
+        if on_mission and self._searched and self._at_its_begin(state.current_item):
+            self._begin_anew(state.reached_item)
         self._take_reached(state)
         returning = self._searched and self._returns and returns_home(*mode)
         self._left = state.armed and not (on_mission or returning)
@@ -138,9 +141,7 @@ class FlightTracker:
     def _take_reached(self, state: VehicleState) -> None:
         reached = state.reached_item
         if self._armed is None or (state.armed and not self._armed):
-            # PX4 repeats the last item of a flight for some seconds after its end.
-            self._told_before, self._reached = reached, -1
-            self._was_flying = self._searched = False
+            self._begin_anew(reached)
         self._armed = state.armed
         if reached is not None and reached != self._told_before:
             self._told_before = None
@@ -149,6 +150,18 @@ class FlightTracker:
         # The message that the last waypoint is reached may be lost; the next item tells it too.
         past = self._was_flying and (state.current_item or 0) > self._last_waypoint
         self._searched |= past or self._reached >= self._last_waypoint
+
+    def _begin_anew(self, reached: int | None) -> None:
+        """Forget what an earlier flight reached, and the item that the vehicle still tells of it.
+
+        PX4 repeats the last item of a flight for some seconds after its end.
+        """
+        self._told_before, self._reached = reached, -1
+        self._was_flying = self._searched = False
+
+    def _at_its_begin(self, current: int | None) -> bool:
+        """Whether the vehicle has not passed the first waypoint; after the last: once more."""
+        return current is not None and bool(self._waypoints) and current <= self._waypoints[0]
 
     def _on_search(self, current: int | None) -> bool:
         """Whether the vehicle is between the first and the last waypoint."""

@@ -190,10 +190,16 @@ class Mission:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What to know before the flight, one sentence each."""
+        told = []
         relative = mav.MAV_FRAME_GLOBAL_RELATIVE_ALT
         if any(i.is_waypoint and plain_frame(i.frame) == relative for i in self.items):
-            return ("heights are above the launch point; terrain is not checked",)
-        return ()
+            told.append("heights are above the launch point; terrain is not checked")
+        if self.fence:
+            told.append(
+                "whether the vehicle obeys the fence is its own setting (ArduPilot: FENCE_ENABLE, "
+                "FENCE_TYPE and FENCE_ACTION; PX4: GF_ACTION)"
+            )
+        return tuple(told)
 
     @property
     def waypoints(self) -> NDArray[np.float64]:

@@ -78,6 +78,7 @@ class Session:
     ) -> None:
         self.vehicle: VehicleState | None = None
         self.status = LinkStatus(False, "no heartbeat heard yet")
+        self._broken = False  # whether the connection was, and the status tells of it
         self._exchanges: dict[Slot, Exchange] = {}
         self._address = address
         self._name = name
@@ -134,6 +135,7 @@ class Session:
 
     def connection_lost(self, text: str) -> None:
         """Take in that the connection itself is gone; the vehicle may still be flying."""
+        self._broken = True
         self._set_status(LinkStatus(self.status.connected, text))
 
     def ended(self, text: str) -> None:
@@ -168,18 +170,22 @@ class Session:
         if self._streams is None:
             self._streams = Streams(Address(before.system, before.component))
         if name == "HEARTBEAT":
-            self._watch(now)
+            self._watch(now, heard=True)
         elif name != "STATUSTEXT":
             self._on_vehicle(self.vehicle)
         elif is_last_chunk(message):
             self._on_text(message.severity, self.vehicle.text)
 
-    def _watch(self, now: float) -> None:
-        """Notice that the vehicle has appeared, or has been silent for too long."""
+    def _watch(self, now: float, *, heard: bool = False) -> None:
+        """Notice that the vehicle has appeared, or has been silent for too long.
+
+        One that is heard again after the connection broke for a moment is told as if it appeared.
+        """
         vehicle = self.vehicle
         connected = vehicle is not None and now - vehicle.heard_at <= LINK_LOST_AFTER_S
-        if connected == self.status.connected:
+        if connected == self.status.connected and not (heard and self._broken):
             return
+        self._broken = False
         if connected and vehicle is not None:
             text = f"{vehicle.dialect.name} vehicle {vehicle.system} on {self._name}"
         else:

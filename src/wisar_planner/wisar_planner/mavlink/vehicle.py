@@ -120,7 +120,8 @@ def changes(state: VehicleState, message: Message, now: float) -> dict[str, obje
         ardupilot = message.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA
         status = message.system_status
         return {
-            "landed": _ARDUPILOT_LANDED.get(status) if ardupilot else state.landed,
+            # A failsafe, which hides it, does not lift a vehicle off the ground.
+            "landed": _ARDUPILOT_LANDED.get(status, state.landed) if ardupilot else state.landed,
             "autopilot": message.autopilot,
             "vehicle_type": message.type,
             "custom_mode": message.custom_mode,

@@ -286,6 +286,26 @@ def test_cancelling_keeps_the_old_mission(profile, after):
 
 
 @ALL
+def test_an_upload_tells_whether_the_fence_may_be_another_now(profile):
+    """Cut at any time: where it says no, the fence is the old one."""
+    fenced = mission(30, inclusions=[SQUARE])
+    told = set()
+    for after in np.linspace(0.0, 3.0, 13):
+        setup = Setup(profile)
+        old = mission(7, inclusions=[SQUARE[:3]])
+        assert setup.upload(old).fence_touched
+        transfer = setup.transfer(fenced)
+        if not setup.talk.run(transfer, until=setup.talk.now + after):
+            transfer.abandon(setup.talk.now)
+        before = [(i.x, i.y) for i in old.fence]
+        is_old = [(i.x, i.y) for i in setup.server.lists[int(MissionKind.FENCE)]] == before
+        assert is_old or transfer.result.fence_touched
+        told.add(transfer.result.fence_touched)
+    assert told == {False, True}
+    assert not setup.upload(mission(5)).fence_touched
+
+
+@ALL
 def test_who_cancels_is_told_whether_the_old_mission_still_counts(profile):
     faults = LinkFaults(loss=0.2, delay_s=0.03, jitter_s=0.03)
     old, new = mission(7), mission(20, altitude_m=77.0)
