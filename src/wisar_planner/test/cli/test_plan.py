@@ -311,11 +311,15 @@ def test_files_with_heights_say_above_what(tmp_path, mixture_file, capsys):
 
 def test_what_of_the_path_lies_outside_is_said(mixture_file, capsys, monkeypatch):
     planned(monkeypatch, [(10, 10), (10, -20), (40, -20), (40, 20)])
-    assert "70 m of the path lie outside the area" in summary(capsys, mixture_file)
+    text = summary(capsys, mixture_file)
+    assert "70 m of the path lie outside the area: the bound, of paths inside, does not" in text
+    assert "% of the bound" not in text
     planned(monkeypatch, [(10, 10), (10, -0.0001), (11, 10)])
     assert "less than 0.1 m of the path lie outside the area" in summary(capsys, mixture_file)
     planned(monkeypatch, [(0, 0), (150, -1e-9), (150, 150)])
-    assert "outside" not in summary(capsys, mixture_file)
+    text = summary(capsys, mixture_file)
+    assert "outside" not in text
+    assert "% of the bound" in text
     planned(monkeypatch, [(0, 0)])
     assert "outside" not in summary(capsys, mixture_file)
 

@@ -10,7 +10,7 @@ from wisar_planner.evaluation import plan_picture as module
 from wisar_planner.evaluation.palette import looks
 from wisar_planner.evaluation.plan_picture import plan_picture
 from wisar_planner.pdm import GaussianMixture, Grid, RasterMap
-from wisar_planner.search import SearchArea, SearchPath, SearchProblem
+from wisar_planner.search import SearchArea, SearchPath, SearchProblem, upper_bound
 
 HILL = GaussianMixture([1.0], [[40.0, 60.0]], [500.0 * np.eye(2)])
 
@@ -90,6 +90,17 @@ def test_several_paths_have_a_line_and_a_legend_entry_each(tmp_path, figures):
         colour = looks(["greedy", "lawnmower"])[name].colour
         np.testing.assert_array_equal(drawn[colour], path.waypoints)
     assert (tmp_path / "plan.svg").read_text().startswith("<?xml")
+
+
+def test_the_legend_tells_the_share_of_the_bound_of_the_budget_where_it_holds(tmp_path, figures):
+    problem = problem_on(HILL)
+    short, outside = path_of((20, 30), (40, 60)), path_of((20, 30), (20, -30))
+    plan_picture(problem, {"short": short, "outside": outside}, tmp_path / "plan.png")
+    labels = [text.get_text() for text in figures[0].axes[1].get_legend().get_texts()]
+    share = short.probability_efficiency(problem) / upper_bound(problem)
+    told = {label.split(":")[0]: label for label in labels}
+    assert told["short"].endswith(f", {share:.1%} of the bound")
+    assert "of the bound" not in told["outside"]
 
 
 def test_a_short_path_on_a_large_map_is_shown_near(tmp_path, figures):

@@ -359,12 +359,15 @@ def _print_summary(
     from rich.table import Table
     from rich.text import Text
 
+    from wisar_planner.search.bound import bound_holds
+
     efficiency, bound = scores
+    of_bound = f", {efficiency / bound:.1%} of the bound {bound:.4f}"
     minutes = path.length / args.speed / 60.0
     rows = [
         ("probability seen", f"{path.seen_probability(problem.pdm):.4f}"),
         ("in the area", f"{problem.probability_in_area:.4f}"),
-        ("efficiency e_p", f"{efficiency:.4f}, {efficiency / bound:.1%} of the bound {bound:.4f}"),
+        ("efficiency e_p", f"{efficiency:.4f}" + of_bound * bound_holds(problem, path)),
         ("distance", f"{path.length:,.0f} m of {problem.max_distance:,.0f} m"),
         ("waypoints", f"{len(path.waypoints)}"),
         ("duration", f"{minutes:.1f} min at {args.speed:g} m/s, without the ways there and back"),

@@ -34,26 +34,16 @@ def notes_on_path(
             "e_p and its bound count what the swath sees beyond the border of the area too, so "
             "that they may pass 1 where the area is small"
         )
-    outside = _length_outside(problem, path)
+    from wisar_planner.search.bound import bound_holds, length_outside
+
+    outside = length_outside(problem, path)
     if outside > 0.0:
         length = f"{outside:,.{1 if outside < 10.0 else 0}f} m"
         notes.append(
             f"{length if outside >= 0.05 else 'less than 0.1 m'} of the path lie outside the area"
+            + ("" if bound_holds(problem, path) else ": the bound, of paths inside, does not hold")
         )
     return notes + _unseen_parts(problem, path, frame)
-
-
-def _length_outside(problem: SearchProblem, path: SearchPath) -> float:
-    """Return how many metres of a path lie outside the area by more than rounding."""
-    import numpy as np
-    import shapely
-
-    legs = shapely.linestrings(np.stack((path.waypoints[:-1], path.waypoints[1:]), axis=1))
-    widened = problem.area.polygon.buffer(1e-6 * problem.step_length, join_style="mitre")
-    shapely.prepare(widened)
-    # Leg by leg: where the path crosses itself, each time counts.
-    leaving = legs[~shapely.covers(widened, legs)]
-    return float(shapely.length(shapely.difference(leaving, widened)).sum())
 
 
 def _unseen_parts(problem: SearchProblem, path: SearchPath, frame: LocalFrame) -> list[str]:

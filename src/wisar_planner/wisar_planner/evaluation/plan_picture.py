@@ -20,7 +20,7 @@ from wisar_planner.errors import FloatArray, InvalidInput
 from wisar_planner.evaluation.palette import BOUND_COLOUR, looks
 from wisar_planner.pdm import Grid
 from wisar_planner.search import SearchPath, SearchProblem
-from wisar_planner.search.bound import upper_bound
+from wisar_planner.search.bound import bound_holds, upper_bound
 
 _CELLS = 320  # along the longer side of the map
 _CURVE_POINTS = 200
@@ -178,16 +178,25 @@ def _draw_curves(axes: Axes, problem: SearchProblem, paths: Mapping[str, SearchP
     unit, name = (1000.0, "km") if reach >= 3000.0 else (1.0, "m")
     far = np.linspace(0.0, reach, _BOUND_POINTS)
     bound = problem.probability_in_area * np.array([upper_bound(problem, d) for d in far])
-    axes.plot(far / unit, bound, "--", color=BOUND_COLOUR, label="no path can see more (bound)")
+    axes.plot(
+        far / unit,
+        bound,
+        "--",
+        color=BOUND_COLOUR,
+        label="no path in the area can see more (bound)",
+    )
     styles = looks(list(paths))
     for label, path in paths.items():
         distances = np.linspace(0.0, path.length, _CURVE_POINTS)
         seen = path.probability_over_distance(problem.pdm, distances)
         points = np.column_stack((distances / unit, seen))
         _draw_line(axes, points, distances, None if len(paths) == 1 else styles[label])
-        at_end = problem.probability_in_area * upper_bound(problem, path.length)
         colour = "#31688E" if len(paths) == 1 else styles[label].colour
-        text = f"{label}: {seen[-1]:.3f}, {seen[-1] / at_end:.0%} of the bound"
+        text = f"{label}: {seen[-1]:.3f}"
+        if bound_holds(problem, path):
+            # Of the whole budget, as all tables have it, also where the path is shorter.
+            whole = problem.probability_in_area * upper_bound(problem)
+            text += f", {seen[-1] / whole:.1%} of the bound"
         axes.plot(*points[-1], "o", color=colour, markersize=5, label=text, zorder=5)
     axes.set(
         xlim=(0.0, 1.02 * reach / unit),

@@ -10,6 +10,7 @@ from shapely import MultiPolygon, Polygon
 
 from wisar_planner.errors import InvalidInput
 from wisar_planner.search.bound_kernels import scheduled_mass
+from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 
 # Time slots of the reachable bound: a distance is rounded down by less than 0.03% of the budget.
@@ -21,7 +22,8 @@ def upper_bound(problem: SearchProblem, distance: float | None = None) -> float:
 
     A path of length L sees at most :math:`2 R L + \pi R^2` square metres, all of them within the
     swath radius R of the area as long as its waypoints and the legs between them stay inside. So
-    it sees at most the mass of the most probable part of that size of the area widened by R.
+    it sees at most the mass of the most probable part of that size of the area widened by R. For
+    a path that leaves the area it does not hold, see `bound_holds`.
 
     Parameters
     ----------
@@ -45,6 +47,25 @@ def upper_bound(problem: SearchProblem, distance: float | None = None) -> float:
     radius = problem.swath_radius
     seen = 2.0 * radius * length + math.pi * radius**2
     return problem.pdm.most_probable_mass(_visible(problem), seen) / problem.probability_in_area
+
+
+def length_outside(problem: SearchProblem, path: SearchPath) -> float:
+    """Return how many metres of a path lie outside the area by more than rounding."""
+    legs = shapely.linestrings(np.stack((path.waypoints[:-1], path.waypoints[1:]), axis=1))
+    widened = problem.area.polygon.buffer(1e-6 * problem.step_length, join_style="mitre")
+    shapely.prepare(widened)
+    # Leg by leg: where the path crosses itself, each time counts.
+    leaving = legs[~shapely.covers(widened, legs)]
+    return float(shapely.length(shapely.difference(leaving, widened)).sum())
+
+
+def bound_holds(problem: SearchProblem, path: SearchPath) -> bool:
+    """Return whether `upper_bound` holds for a path: it does for those that stay in the area.
+
+    Patterns fly across between the separate parts of an area. What lies outside by less than a
+    hundredth of the swath radius changes nothing.
+    """
+    return length_outside(problem, path) <= 0.01 * problem.swath_radius
 
 
 def reachable_bound(problem: SearchProblem, distance: float | None = None) -> float:
