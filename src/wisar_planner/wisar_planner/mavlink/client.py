@@ -249,6 +249,7 @@ class MissionClient:
                 links=self._links,
                 on_progress=guarded(on_progress),
                 objection=self._against_uploading,
+                old_is_mixture=self._doubtful,
             )
             self._link.carry_out(transfer, should_cancel)
             transfer.abandon(time.monotonic())

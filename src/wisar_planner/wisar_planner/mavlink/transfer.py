@@ -68,6 +68,8 @@ class MissionTransfer:
         Called on every item.
     objection
         Called before each sending of the mission; words say why it must not be sent now.
+    old_is_mixture
+        Whether an earlier upload may have left a mixture, which is what is put back then.
     """
 
     def __init__(
@@ -80,7 +82,9 @@ class MissionTransfer:
         links: LinkEstimates | None = None,
         on_progress: Callable[[UploadProgress], None] = lambda _: None,
         objection: Callable[[], str] = lambda: "",
+        old_is_mixture: bool = False,
     ) -> None:
+        self._old_is_mixture = old_is_mixture
         self._links = links = links or LinkEstimates()
         self._target = target
         self._dialect = dialect
@@ -243,7 +247,8 @@ class MissionTransfer:
         kind, transfer = self._list
         assert transfer.code is not None
         put_back = restoring.code is UploadCode.VERIFIED
-        end = "The old mission was put back" if put_back else _MIXTURE
+        is_sound = put_back and not self._old_is_mixture
+        end = "The old mission was put back" if is_sound else _MIXTURE
         error = f"{_LIST_NAMES[kind]}: {transfer.error.removesuffix(DO_NOT_FLY)}. {end}"
         self._conclude(transfer.code, error, now, old_counts=put_back)
         return []

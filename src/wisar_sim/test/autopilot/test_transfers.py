@@ -230,6 +230,25 @@ def test_an_ardupilot_gets_its_old_mission_back(old_length, loss):
         assert ("The old mission was put back" in transfer.result.error) is begun
 
 
+def test_a_mixture_that_is_put_back_is_called_one():
+    """After an upload that was cut another one is cancelled in the middle."""
+    put_back = 0
+    for after in (2.0, 4.0, 8.0):
+        setup = Setup("ardupilot", LinkFaults(delay_s=0.05))
+        setup.upload(mission(40, altitude_m=60.0))
+        setup.talk.run(setup.transfer(mission(20)), until=setup.talk.now + 3.0)
+        setup.talk.settle(30.0)
+        transfer = setup.transfer(mission(60), old_is_mixture=True)
+        setup.talk.run(transfer, until=setup.talk.now + after)
+        setup.talk._send_up(transfer.cancel(setup.talk.now))
+        setup.talk.go_on(transfer)
+        if transfer._restoring is not None:
+            put_back += 1
+            assert transfer.result.old_counts
+            assert "may hold a mixture" in transfer.result.error
+    assert put_back
+
+
 @pytest.mark.parametrize("cancelled", [False, True])
 def test_an_ardupilot_that_still_waits_for_an_earlier_upload_is_waited_for(cancelled):
     setup = Setup("ardupilot")
