@@ -35,31 +35,3 @@ def altitude_for_swath(swath_radius: float, field_of_view: float) -> float:
     """
     half = _half_angle("field_of_view", field_of_view)
     return positive(swath_radius, "swath_radius") / math.tan(half)
-
-
-def swath_radius_at(altitude: float, field_of_view: float) -> float:
-    """Return half the width in metres of the strip seen from a height; see `altitude_for_swath`."""
-    half = _half_angle("field_of_view", field_of_view)
-    return positive(altitude, "altitude") * math.tan(half)
-
-
-def trigger_distance(altitude: float, field_of_view_along: float, overlap: float = 0.6) -> float:
-    """Return the distance between two pictures.
-
-    Parameters
-    ----------
-    altitude
-        Height above ground in metres.
-    field_of_view_along
-        Angle of view along the direction of flight, radians.
-    overlap
-        Share of a picture that the next one shows again, 0 to below 1.
-
-    Raises
-    ------
-    InvalidInput
-        If an argument cannot be right.
-    """
-    if not 0.0 <= overlap < 1.0:
-        raise InvalidInput(f"overlap must be from 0 to below 1, got {overlap}")
-    return 2.0 * swath_radius_at(altitude, field_of_view_along) * (1.0 - overlap)

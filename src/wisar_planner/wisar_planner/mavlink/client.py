@@ -162,11 +162,6 @@ class MissionClient:
         """What became of the bytes received (dropped, unsigned, badly signed, ...)."""
         return self._link.counters
 
-    @property
-    def round_trip_s(self) -> float | None:
-        """Typical round-trip time in seconds; None before the first exchange."""
-        return self._links.asking.round_trip
-
     def wait_heartbeat(self, timeout: float = 10.0) -> VehicleState:
         """Wait until the vehicle has been heard.
 

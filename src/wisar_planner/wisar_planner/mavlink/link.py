@@ -50,11 +50,6 @@ class Link:
         """What became of the bytes received."""
         return self._codec.counters
 
-    @property
-    def transport(self) -> Transport | None:
-        """The open connection, if there is one."""
-        return self._transport
-
     def open(self) -> bool:
         """Open the connection if it is closed and it is time to try; return whether it is open.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
 
@@ -177,15 +177,6 @@ class Mission:
             MissionKind.RALLY: self.rally,
         }
         return lists[kind]
-
-    def with_kind(self, kind: MissionKind, items: Sequence[MissionItem]) -> Mission:
-        """Return a copy in which one of the three lists is replaced."""
-        names = {
-            MissionKind.MISSION: "items",
-            MissionKind.FENCE: "fence",
-            MissionKind.RALLY: "rally",
-        }
-        return replace(self, **{names[kind]: tuple(items)})
 
     @property
     def cautions(self) -> tuple[str, ...]:
