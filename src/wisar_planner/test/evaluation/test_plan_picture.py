@@ -103,6 +103,15 @@ def test_the_legend_tells_the_share_of_the_bound_of_the_budget_where_it_holds(tm
     assert "of the bound" not in told["outside"]
 
 
+def test_a_path_that_passes_the_bound_outside_the_area_stays_in_the_picture(tmp_path, figures):
+    """Of the map's probability only the rim lies in the area."""
+    area = SearchArea.rectangle(0.0, 0.0, 100.0, 20.0)
+    problem = SearchProblem(HILL, area, (20.0, 10.0), 8.0, swath_radius=2.5, max_distance=120.0)
+    path = path_of((20, 10), (40, 40), (40, 80))
+    plan_picture(problem, {"outside": path}, tmp_path / "plan.png")
+    assert path.seen_probability(HILL) < figures[0].axes[1].get_ylim()[1]
+
+
 def test_a_short_path_on_a_large_map_is_shown_near(tmp_path, figures):
     plan_picture(problem_on(HILL, side=20_000.0), {"greedy": ACROSS}, tmp_path / "plan.png")
     west, east = figures[0].axes[0].get_xlim()

@@ -166,6 +166,11 @@ AREA = square(-5.0, 56.7, -4.98, 56.71, role="search_area")
         {"kind": "TFR"},
         {"name": "No-fly zone"},
         {"name": "shooting range, DO NOT FLY"},
+        {"name": "no overflight"},
+        {"name": "Don't fly"},
+        {"kind": "no_drone_zone"},
+        {"name": "Prohibited area P-40"},
+        {"name": "exclusion zone"},
     ],
     ids=str,
 )
@@ -179,10 +184,12 @@ def test_a_zone_to_keep_out_of_is_never_searched(tmp_path, properties, others):
         load_map(path, area=area)
 
 
-@pytest.mark.parametrize("name", ["Danger Hill", "Military Road wood", "Closed canopy", "Nofield"])
+@pytest.mark.parametrize(
+    "name", ["Danger Hill", "Military Road wood", "Closed canopy", "Nofield", "Keep Outlook"]
+)
 def test_a_place_of_whatever_name_is_searched(tmp_path, name):
     path = write(tmp_path / "map.geojson", collection(point(-4.99, 56.705, weight=1, sigma_m=30)))
-    place = square(-5.0, 56.7, -4.98, 56.71, name=name)
+    place = square(-5.0, 56.7, -4.98, 56.71, name=name, role="")
     assert load_map(path, area=write(tmp_path / "area.geojson", collection(place))).area.area > 0.0
 
 
@@ -212,6 +219,9 @@ def test_of_an_area_file_the_search_areas_count_if_it_names_any(tmp_path):
     )
     assert both.equals(alone)
     assert neither.area == pytest.approx(1.5 * alone.area, rel=1e-3)
+    area = write(tmp_path / "area.geojson", collection(lake, AREA))
+    assert load_map(path, area=area).notes[-1].endswith("left out: features[0] ('lake')")
+    assert "left out" not in " ".join(load_map(path, area=write(area, AREA)).notes)
     line = {"type": "LineString", "coordinates": [[-5.0, 56.7], [-4.98, 56.7]]}
     wrong = {"type": "Feature", "geometry": line, "properties": {"role": "search_area"}}
     with pytest.raises(InvalidInput, match=r"features\[1\]\.geometry\.type must be Polygon"):

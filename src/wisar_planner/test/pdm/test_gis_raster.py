@@ -215,6 +215,15 @@ def test_the_remedy_for_undeclared_missing_data_works(tmp_path, dtype, value):
     assert load_map(path).pdm.probability.sum() == pytest.approx(1.0)
 
 
+def test_the_remedy_for_undeclared_missing_data_is_before_scale_and_offset(tmp_path):
+    path = tmp_path / "map.tif"
+    write_tif(path, np.array([[3, -9999, 1]], dtype="int16"))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = (0.5,), (1.0,)
+    with pytest.raises(InvalidInput, match=r"-a_nodata -9999 "):
+        load_map(path)
+
+
 def test_a_raster_without_a_datum_is_not_moved_by_a_guess(tmp_path):
     """The British grid by its parameters; without its datum it would lie 77 m off."""
     grid = "+proj=tmerc +lat_0=49 +lon_0=-2 +k=0.9996012717 +x_0=400000 +y_0=-100000 +units=m"

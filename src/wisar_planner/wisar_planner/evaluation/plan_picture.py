@@ -186,9 +186,11 @@ def _draw_curves(axes: Axes, problem: SearchProblem, paths: Mapping[str, SearchP
         label="no path in the area can see more (bound)",
     )
     styles = looks(list(paths))
+    highest = float(bound[-1])
     for label, path in paths.items():
         distances = np.linspace(0.0, path.length, _CURVE_POINTS)
         seen = path.probability_over_distance(problem.pdm, distances)
+        highest = max(highest, float(seen[-1]))  # a path that leaves the area may pass the bound
         points = np.column_stack((distances / unit, seen))
         _draw_line(axes, points, distances, None if len(paths) == 1 else styles[label])
         colour = "#31688E" if len(paths) == 1 else styles[label].colour
@@ -200,7 +202,7 @@ def _draw_curves(axes: Axes, problem: SearchProblem, paths: Mapping[str, SearchP
         axes.plot(*points[-1], "o", color=colour, markersize=5, label=text, zorder=5)
     axes.set(
         xlim=(0.0, 1.02 * reach / unit),
-        ylim=(0.0, 1.08 * float(bound[-1])),
+        ylim=(0.0, 1.08 * highest),
         xlabel=f"distance flown, {name}",
         ylabel="probability that the person has been seen",
     )

@@ -29,22 +29,30 @@ SEARCH_AREA = "search_area"
 """Role of the polygons to search."""
 
 # What nobody calls ground that may be flown over.
-_NO_FLYING = r"keep.?out|stay.?out|no.?fly|no.?flight|do.?not.?(over)?.?fly|nfz|tfr(?![a-z])"
+_NO_FLYING = (
+    r"keep.?out(?!look)|stay.?out|no.?(over.?)?fl(y|ight)|do.?n[o\W]?.?t.?(over)?.?fly|nfz|"
+    r"tfr(?![a-z])|no.?drones?(?![a-z])|do.?not.?enter|off.?limits"
+)
 # In whatever words: keep-out, no fly zone, nogo, exclusion zone, prohibited, restricted and danger
 # areas (ICAO's kinds), ... Only from the beginning of a word: not "unrestricted", "volcano gorge".
 _FORBIDDEN = re.compile(
     rf"(?<![a-z])({_NO_FLYING}|no.?go(zone)?(?![a-z])|no.?entry|exclu|restrict|prohibit|forbid|"
-    r"danger|hazard|avoid|off.?limits|not.?allowed|closed|military)",
+    r"danger|hazard|avoid|not.?allowed|closed|military)",
     re.IGNORECASE,
 )
 # A name may be that of a place: Danger Hill is searched, "No-fly zone" is not.
-_FORBIDDEN_NAME = re.compile(rf"(?<![a-z])({_NO_FLYING})", re.IGNORECASE)
+_FORBIDDEN_NAME = re.compile(
+    rf"(?<![a-z])({_NO_FLYING}|(prohibited|restricted|danger).?(area|airspace)|exclusion.?zone)",
+    re.IGNORECASE,
+)
 
 # What an edge that is straight in degrees may be bent in metres, m: less than a vehicle's position
 # is known to. Parts of an area that are nearer than twice this are one.
 _BEND = 0.25
 # Most pieces that an edge is cut into for it.
 _MOST_PIECES = 1000
+
+_MOST_NAMED = 5  # polygons left out that are named one by one
 
 _WGS84_NAMES = ("CRS84", "EPSG::4326", "EPSG:4326")
 
@@ -249,7 +257,7 @@ def _rings(area: Area) -> int:
     )
 
 
-def load_area(path: Path, frame: LocalFrame) -> Area:
+def load_area(path: Path, frame: LocalFrame) -> tuple[Area, tuple[str, ...]]:
     """Read a search area: the polygons of a GeoJSON file, joined.
 
     If any feature has the role ``search_area``, these features alone; every polygon otherwise.
@@ -261,6 +269,13 @@ def load_area(path: Path, frame: LocalFrame) -> Area:
     frame : LocalFrame
         Where the result's metres are measured.
 
+    Returns
+    -------
+    area : shapely.Polygon or shapely.MultiPolygon
+        The search area in local metres.
+    notes : tuple of str
+        Which polygons are left out, for the operator.
+
     Raises
     ------
     InvalidInput
@@ -269,26 +284,35 @@ def load_area(path: Path, frame: LocalFrame) -> Area:
     OSError
         If it cannot be read.
     """
-    marked, found = [], []
+    marked, found, others = [], [], []
     for i, feature in enumerate(features_of(read_geojson(path), str(path))):
         where = f"{path}: features[{i}]"
         polygons = list(polygons_in(feature["geometry"], f"{where}.geometry"))
         if role_of(feature, where) == SEARCH_AREA:
             # What is no polygon is refused there: a search area must not shrink in silence.
             marked.extend(polygons or [(feature["geometry"], f"{where}.geometry")])
-        elif polygons and (role := (feature["properties"] or {}).get("role")) is not None:
+        elif polygons and (role := (feature["properties"] or {}).get("role")) not in (None, ""):
             # It may be a ban in words that this code does not know.
             raise InvalidInput(
                 f"{where}: a polygon with the role {shown(role)} is neither searched nor kept out "
                 f"of; give it the role {SEARCH_AREA}, or cut it out of the {SEARCH_AREA} polygon "
                 "(a hole) and remove the feature"
             )
+        elif polygons:
+            name = (feature["properties"] or {}).get("name")
+            others.append(f"features[{i}]" + ("" if name is None else f" ({shown(name)})"))
         found.extend(polygons)
     chosen = marked or found
     if not chosen:
         raise InvalidInput(f"{path}: no Polygon in it; draw the search area as a polygon")
     parts = [polygon_from_geometry(geometry, frame, where) for geometry, where in chosen]
-    return union_of(parts, f"{path}: the area")
+    area = union_of(parts, f"{path}: the area")
+    if not (marked and others):
+        return area, ()
+    named = ", ".join(others[:_MOST_NAMED]) + (", ..." if len(others) > _MOST_NAMED else "")
+    return area, (
+        f"{path}: {len(others)} polygons without the role {SEARCH_AREA} are left out: {named}",
+    )
 
 
 def _local_ring(ring: Any, frame: LocalFrame, where: str) -> FloatArray:

@@ -207,7 +207,7 @@ def _read(path: Path, band: int) -> tuple[FloatArray, Any, Affine, list[str]]:
     if missing.any():
         count = int(missing.sum())
         notes.append(f"{count} cells without data ({count / values.size:.1%}): probability 0")
-    _check_values(values, path)
+    _check_values(values, raw, path)
     return values, crs, transform, notes
 
 
@@ -254,7 +254,7 @@ def _has_colour_table(dataset: Any, band: int) -> bool:
         return False
 
 
-def _check_values(values: FloatArray, path: Path) -> None:
+def _check_values(values: FloatArray, raw: Any, path: Path) -> None:
     if np.isinf(values).any():
         raise InvalidInput(
             f"{path}: {int(np.isinf(values).sum())} values are infinite; replace them, "
@@ -263,8 +263,9 @@ def _check_values(values: FloatArray, path: Path) -> None:
     negative = values < 0.0
     if negative.any():
         lowest = float(values.min())
-        # To the last digit: GDAL compares values with it.
-        marker = f"{lowest:.0f}" if lowest.is_integer() else repr(lowest)
+        # To the last digit and as it is stored, before scale and offset: GDAL compares with it.
+        stored = raw.flat[int(values.argmin())].item()
+        marker = f"{stored:.0f}" if float(stored).is_integer() else repr(stored)
         raise InvalidInput(
             f"{path}: {int(negative.sum())} values are negative (lowest {lowest:g}), which no "
             f"probability is; if it marks missing data: gdal_edit.py -a_nodata {marker} "

@@ -127,7 +127,7 @@ def _near(loaded: LoadedMap, hint: str) -> LoadedMap:
 
 def _within(loaded: LoadedMap, path: Path) -> LoadedMap:
     """Return a map with the search area of a file, which must hold some of its probability."""
-    area = load_area(path, loaded.frame)
+    area, notes = load_area(path, loaded.frame)
     if loaded.pdm.integrate(area) < _NO_PROBABILITY:
         if area.intersects(loaded.area):
             raise InvalidInput(
@@ -144,7 +144,7 @@ def _within(loaded: LoadedMap, path: Path) -> LoadedMap:
             f"{path}: reaches {reach / 1000:,.0f} km from the origin of {loaded.source}, over "
             f"{MAX_RADIUS / 1000:.0f} km; draw the search area closer"
         )
-    return replace(loaded, area=area)
+    return replace(loaded, area=area, notes=(*loaded.notes, *notes))
 
 
 def _remedy(area: Area, loaded: LoadedMap) -> str:
