@@ -10,9 +10,11 @@ from wisar_planner import GaussianMixture, RasterMap
 from wisar_planner.cli.evaluate_worlds import selected_worlds
 from wisar_planner.cli.main import main
 from wisar_planner.errors import InvalidInput
+from wisar_planner.evaluation import worlds_table
 from wisar_planner.evaluation.scenario import FixedMap, RandomMaps
 from wisar_planner.evaluation.worlds import read_worlds
 from wisar_planner.evaluation.worlds_table import worlds_markdown
+from wisar_planner.policy.model import find_model, load_model, save_model
 from wisar_planner.search import upper_bound
 
 SHIPPED = Path(__file__).parents[4] / "config" / "worlds.yaml"
@@ -216,6 +218,26 @@ def test_one_table_has_a_row_a_world_and_goes_on_where_it_stopped(tmp_path, caps
     assert main(resumed) == 0
     assert len(list(kept.glob("*.jsonl"))) == 2
     assert untimed(again) == untimed(out)
+
+
+def test_a_policy_that_changes_between_worlds_gives_no_results(tmp_path, monkeypatch, capsys):
+    path, out = tmp_path / "policy.safetensors", tmp_path / "out.json"
+    policy = load_model(find_model("sac_plain"))
+    save_model(path, policy.weights, policy.card)
+    (tmp_path / "worlds.yaml").write_text(FILE)
+    summarise = worlds_table.summarise_world
+
+    def trained_on(*args, **options):
+        other = {name: value + np.float32(0.01) for name, value in policy.weights.items()}
+        save_model(path, other, policy.card)
+        return summarise(*args, **options)
+
+    monkeypatch.setattr(worlds_table, "summarise_world", trained_on)
+    command = ["evaluate", "--planner", "sac", "--option", f"sac.model={path}", "--jobs", "1"]
+    command += ["--worlds", str(tmp_path / "worlds.yaml"), "--persons", "5", "--runs", "1"]
+    assert main([*command, "--json", str(out)]) == 2
+    assert "a policy changed between two worlds" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_last_planner_is_counted_ahead_where_it_is_more_than_chance():

@@ -44,18 +44,24 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     stores: list[tuple[RunStore, Sequence[RunRecord]]] = []
+    identities = {spec.name: spec.identity() for spec in planners}
     results = {
         "setup": {
             "worlds": str(args.worlds),
             "runs": args.runs,
             "seed": args.seed,
             "persons": args.persons,
-            "planners": {spec.name: spec.identity() for spec in planners},
+            "planners": identities,
         },
         "worlds": _run_all(args, planners, worlds, keep, stores),
     }
     table = worlds_markdown(results)
     print(table, end="")
+    if identities != {spec.name: spec.identity() for spec in planners}:
+        raise InvalidInput(
+            "a policy changed between two worlds, so that the table is of two; copy the files to a "
+            "place where nothing changes them, and begin anew"
+        )
     for path, text in (
         (args.json, json.dumps(results, indent=1, allow_nan=False) + "\n"),
         (args.markdown, table),

@@ -100,7 +100,7 @@ class RunStore:
         """
         more = len(self._kept - {(record.planner, record.index) for record in told})
         if not more:
-            self.path.unlink()
+            self.path.unlink(missing_ok=True)  # two worlds of the same values have one file
         return more
 
     def __enter__(self) -> RunStore:
