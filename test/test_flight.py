@@ -24,6 +24,8 @@ from wisar_msgs.msg import MissionStatus, ProbabilityMap, SearchPlan
 from wisar_planner.mavlink.client import MissionClient
 from wisar_planner.mavlink.codec import Codec
 from wisar_planner.mavlink.mission import Mission
+from wisar_planner.mavlink.modes import flies_mission
+from wisar_planner.nodes.mavlink_bridge import PROOF_LASTS
 from wisar_planner.nodes.qos import LATCHED
 from wisar_planner.pdm.geodesy import GeoOrigin, LocalFrame
 from wisar_sim.nodes.operator import Operator
@@ -292,6 +294,36 @@ def test_a_return_is_sent_at_once_whatever_else_waits_for_an_answer(suite) -> No
         assert set(modes[last:]) == {PX4_RETURN}
     finally:
         silent.close()
+
+
+def test_a_mission_that_another_ground_station_put_there_is_not_started(
+    suite, mixture_file
+) -> None:
+    suite.start_autopilot()
+    suite.start_map(mixture_file)
+    suite.start_planner(max_distance=300.0)
+    suite.start_bridge()
+    operator = suite.operator
+    result = upload(suite)
+    assert result.error_code == result.NONE, result.error_text
+    with MissionClient(f"udpout:127.0.0.1:{suite.port}", system=250) as other:
+        other.wait_heartbeat(20.0)
+        held = other.download()
+        assert other.upload(Mission(held[:-1])).verified
+        time.sleep(PROOF_LASTS)
+        answer = call(suite, "arm")
+        assert not answer.success
+        assert "does not hold what was verified any more" in answer.message
+        suite.wait(lambda: operator.mission.state == MissionStatus.FAILED, "the status")
+        assert operator.mission.map_id == ""
+        # Whoever arms it, and however: the mission of another is started by that one alone.
+        other.arm()
+        for name in ("start_mission", "resume"):
+            answer = call(suite, name)
+            assert not answer.success
+            assert "call upload_mission" in answer.message
+        vehicle = other.vehicle
+        assert not flies_mission(vehicle.autopilot, vehicle.vehicle_type, vehicle.custom_mode)
 
 
 def test_an_unknown_vehicle_refuses_requests_in_words(suite) -> None:

@@ -48,7 +48,9 @@ class FakeClient:
         self.outcome = VERIFIED
         self.during: Callable[[], None] = lambda: None  # what happens during an upload
         self.changes: tuple[str, ...] = ()  # of the mission since its upload
+        self.while_reading: Callable[[], None] = lambda: None
         self.reads = 0
+        self.starts = 0
 
     def upload(
         self, mission: object, *, on_progress: Callable[[UploadProgress], None], **_: Any
@@ -70,11 +72,16 @@ class FakeClient:
     def ask(self) -> None:
         """Accept whatever is asked for."""
 
-    arm = start_mission = pause = resume = return_to_launch = close = ask
+    arm = pause = resume = return_to_launch = close = ask
+
+    def start_mission(self) -> None:
+        """Count the starts."""
+        self.starts += 1
 
     def changes_since(self, _mission: object) -> tuple[str, ...]:
         """Read back what the vehicle holds."""
         self.reads += 1
+        self.while_reading()
         return self.changes
 
 
@@ -320,7 +327,8 @@ def test_a_mission_that_this_bridge_has_not_verified_is_not_started(bridge: Mavl
     assert not start().success
     assert not resume().success
     bridge._client.link_status = LinkStatus(False, "no link")
-    assert not start().success
+    assert "no vehicle to talk to: no link" in start().message
+    assert bridge._client.starts == 1
 
 
 def test_a_bridge_begun_in_flight_resumes_what_it_has_seen_flown(bridge: MavlinkBridge) -> None:
@@ -348,11 +356,68 @@ def test_another_mission_on_the_vehicle_is_seen_before_it_is_flown(holding, requ
 
 
 def test_a_mission_that_is_still_there_is_started_after_it_was_read_again(holding) -> None:
-    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    holding._proved_at -= 10.0
     assert asking(holding, holding._arm)().success
     assert asking(holding, holding._start_mission)().success
     assert holding._client.reads == 1
     assert holding._state == MissionStatus.VERIFIED
+
+
+def test_a_connection_that_broke_for_a_moment_lets_the_mission_be_read_again(holding) -> None:
+    holding._on_link(LinkStatus(True, "the other end closed the connection"))
+    assert asking(holding, holding._arm)().success
+    assert holding._client.reads == 1
+
+
+@pytest.mark.parametrize("request_name", ["_pause", "_return_to_launch"])
+def test_a_start_is_given_up_for_what_was_asked_for_while_it_read(holding, request_name) -> None:
+    """Else it would take the vehicle out of the pause or the return."""
+    start, urgent = (asking(holding, getattr(holding, n)) for n in ("_start_mission", request_name))
+    answers = []
+    holding._client.while_reading = lambda: answers.append(urgent())
+    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    answer = start()
+    assert not answer.success
+    assert "given up" in answer.message
+    assert [a.success for a in answers] == [True]
+    assert holding._client.starts == 0
+    assert start().success
+
+
+def test_a_second_request_is_refused_while_the_first_one_reads(holding) -> None:
+    """It would begin the mission once more, long after the first."""
+    requests = [asking(holding, getattr(holding, n)) for n in ("_arm", "_start_mission", "_resume")]
+    answers = []
+    holding._client.while_reading = lambda: answers.extend(request() for request in requests)
+    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    assert asking(holding, holding._start_mission)().success
+    assert holding._client.starts == 1
+    assert [a.success for a in answers] == [False] * 3
+    assert all("another request to the vehicle is in progress" in a.message for a in answers)
+
+
+def test_an_upload_that_ends_while_the_old_mission_is_read_stays_verified(holding) -> None:
+    holding._client.while_reading = lambda: upload(holding)
+    holding._client.changes = ("item 3: place became another",)
+    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    answer = asking(holding, holding._start_mission)()
+    assert not answer.success
+    assert "an upload has ended meanwhile" in answer.message
+    assert (holding._state, holding._map_id) == (MissionStatus.VERIFIED, "map")
+
+
+def test_another_mission_that_came_in_a_pause_is_not_resumed(holding) -> None:
+    start, resume = (asking(holding, act) for act in (holding._start_mission, holding._resume))
+    fly(holding)
+    fly(holding, custom_mode=HOLD)
+    assert resume().success
+    holding._client.changes = ("60 items were sent, 59 read back",)
+    holding._proved_at -= mavlink_bridge.PROOF_LASTS
+    assert not start().success
+    assert not resume().success
+    fly(holding)  # as somebody else wants it
+    fly(holding, custom_mode=HOLD)
+    assert resume().success
 
 
 def test_the_plan_of_an_older_map_is_uploaded_by_name_only(bridge: MavlinkBridge) -> None:
@@ -384,6 +449,24 @@ def test_without_a_vehicle_nothing_is_sent_and_the_state_stays(holding) -> None:
     assert result.error_code == UploadMission.Result.NO_LINK
     assert "no heartbeat heard yet" in result.error_text
     assert (holding._state, holding._text) == before
+
+
+def test_a_link_lost_before_anything_was_sent_leaves_the_state(holding) -> None:
+    before = holding._state, holding._text, holding._items
+    unsent = UploadResult(UploadCode.NO_LINK, "no vehicle to talk to")
+    assert upload(holding, unsent).error_code == UploadMission.Result.NO_LINK
+    assert (holding._state, holding._text, holding._items) == before
+    upload(holding, replace(unsent, attempts=1))
+    assert holding._state == MissionStatus.FAILED
+
+
+def test_a_link_that_comes_up_in_an_upload_that_sends_nothing_is_told(bridge) -> None:
+    give_map(bridge, "map")
+    give_plan(bridge, "map")
+    assert bridge._state == MissionStatus.NO_LINK
+    bridge._client.during = lambda: bridge._on_link(bridge._client.link_status)
+    upload(bridge, UploadResult(UploadCode.NO_LINK, "no vehicle to talk to"))
+    assert (bridge._state, bridge._text) == (MissionStatus.IDLE, "linked")
 
 
 def test_in_flight_the_takeoff_is_where_the_vehicle_is(bridge: MavlinkBridge) -> None:

@@ -34,14 +34,19 @@ from wisar_planner.nodes import conversions, parameters
 from wisar_planner.nodes.conversions import LocatedMap, Plan
 from wisar_planner.nodes.latest_map import LatestMap
 from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED
+from wisar_planner.nodes.requests import Requests
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.pdm.geodesy import LocalFrame
 
 Result = UploadMission.Result
 STATUS_PERIOD = 1.0
 """Seconds between two `mission_status` messages when nothing changes."""
-PROOF_LASTS = 60.0
-"""Seconds after which a mission that was read back is read again before it is started."""
+PROOF_LASTS = 10.0
+"""Seconds after which a mission that was read back is read again before it is started.
+
+Armed on the ground, vehicles disarm by themselves after about as long: a start that comes before
+does not wait for another reading on a slow link.
+"""
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,7 @@ class MavlinkBridge(Node):
         self._proved_at = -math.inf  # when that was read back
         self._seen_flying = False  # whether the vehicle has flown its mission since this began
         self._under_way = False  # whether a flight of that has begun and not ended
+        self._requests = Requests()
         self._files_wait = ""  # why the plan's files are not written yet; empty if they are
         self._state = MissionStatus.NO_LINK
         self._text = "no heartbeat heard yet"
@@ -112,9 +118,9 @@ class MavlinkBridge(Node):
         requests = {
             "arm": self._arm,
             "start_mission": self._start_mission,
-            "pause": self._client.pause,
+            "pause": self._pause,
             "resume": self._resume,
-            "return_to_launch": self._client.return_to_launch,
+            "return_to_launch": self._return_to_launch,
         }
         for name, act in requests.items():
             request = self._explicit_request(act)
@@ -413,8 +419,11 @@ class MavlinkBridge(Node):
         text = "; ".join((outcome.error, *outcome.differences[:5], *outcome.notes))
         self.get_logger().error(f"upload failed: {text}")
         # An objection may also come to a later attempt, after a part has been overwritten.
-        if int(outcome.code) == Result.UNSAFE and outcome.old_counts:
+        objected = int(outcome.code) == Result.UNSAFE and outcome.old_counts
+        unsent = int(outcome.code) == Result.NO_LINK and outcome.old_counts and not outcome.attempts
+        if objected or unsent:
             self._set_state(*before)
+            self._show_link(self._client.link_status)  # it may have changed since
         elif int(outcome.code) != Result.BUSY:  # the state is that of the other upload
             self._set_state(MissionStatus.FAILED, text, (0, len(mission.items)))
         if int(outcome.code) == Result.CANCELED and goal.is_cancel_requested:
@@ -441,8 +450,9 @@ class MavlinkBridge(Node):
         )
 
     def _forget(self) -> None:
-        """Take the vehicle's mission for an unknown one."""
+        """Take the vehicle's mission for an unknown one, whatever it has flown before."""
         self._map_id, self._verified, self._tracker = "", None, None
+        self._seen_flying = False
 
     def _on_vehicle(self, vehicle: VehicleState) -> None:
         if vehicle.armed and flies_mission(
@@ -491,9 +501,10 @@ class MavlinkBridge(Node):
 
     def _arm(self) -> None:
         """Arm; look first whether the mission is still the one, as vehicles disarm soon again."""
-        if self._state != MissionStatus.UPLOADING:
+        with self._requests.one("arming") as check:
             self._prove("arming")
-        self._client.arm()
+            check()
+            self._client.arm()
 
     def _start_mission(self) -> None:
         """Start what this bridge has verified.
@@ -503,23 +514,35 @@ class MavlinkBridge(Node):
         bridge was ended in the middle of it.
         """
         words = "start of the mission"
-        if self._verified is None:
-            raise LinkError(
-                f"{words}: this bridge has verified none since it began, or not what the vehicle "
-                "holds now; call upload_mission first"
-            )
-        if self._state != MissionStatus.UPLOADING:
+        with self._requests.one(words) as check:
+            if not (link := self._client.link_status).connected:
+                raise LinkError(f"{words}: no vehicle to talk to: {link.text}")
+            if self._verified is None:
+                raise LinkError(
+                    f"{words}: this bridge has verified none since it began, or not what the "
+                    "vehicle holds now; call upload_mission first"
+                )
             self._prove(words)
-        self._client.start_mission()
+            check()
+            self._client.start_mission()
 
     def _resume(self) -> None:
         """Go on with what this bridge has verified, or has itself seen the vehicle fly."""
-        if self._verified is None and not self._seen_flying:
-            raise LinkError(
-                "resume: this bridge has neither verified a mission nor seen the vehicle fly one "
-                "since it began; call upload_mission, then start_mission"
-            )
-        self._client.resume()
+        with self._requests.one("resume"):
+            if self._verified is None and not self._seen_flying:
+                raise LinkError(
+                    "resume: this bridge has neither verified a mission nor seen the vehicle fly "
+                    "one since it began; call upload_mission, then start_mission"
+                )
+            self._client.resume()
+
+    def _pause(self) -> None:
+        self._requests.give_up()
+        self._client.pause()
+
+    def _return_to_launch(self) -> None:
+        self._requests.give_up()
+        self._client.return_to_launch()
 
     def _prove(self, words: str) -> None:
         """Read the verified mission back again, unless that was done just now.
@@ -531,9 +554,13 @@ class MavlinkBridge(Node):
             answer.
         """
         verified = self._verified
-        if verified is None or time.monotonic() - self._proved_at < PROOF_LASTS:
+        fresh = time.monotonic() - self._proved_at < PROOF_LASTS
+        # During an upload there is nothing to read; the client refuses to start then.
+        if verified is None or fresh or self._state == MissionStatus.UPLOADING:
             return
         differences = self._client.changes_since(verified.mission)
+        if self._verified is not verified:
+            raise LinkError(f"{words}: an upload has ended meanwhile; look at it, then ask again")
         if not differences:
             self._proved_at = time.monotonic()
             return
@@ -564,8 +591,11 @@ class MavlinkBridge(Node):
 
     def _on_link(self, status: LinkStatus) -> None:
         self.get_logger().info(status.text)
-        if not status.connected:
-            self._proved_at = -math.inf  # what is heard next may be another vehicle
+        self._proved_at = -math.inf  # what is heard next may be another vehicle
+        self._show_link(status)
+
+    def _show_link(self, status: LinkStatus) -> None:
+        """Tell of the link where there is nothing else to tell."""
         if self._state in (MissionStatus.NO_LINK, MissionStatus.IDLE):
             state = MissionStatus.IDLE if status.connected else MissionStatus.NO_LINK
             self._set_state(state, status.text, self._items)
