@@ -112,6 +112,13 @@ def test_real_maps_are_a_world_each_and_missing_ones_are_said(tmp_path):
     assert isinstance(first.scenario, FixedMap)
     assert first.scenario.search_area.area == pytest.approx(np.pi * 40**2, rel=2e-3)
     assert first.scenario.problem(0, 0).steps == 5
+    beside = shapely.box(260.0, 260.0, 300.0, 300.0)
+    mapping.save_mixture(tmp_path / "c.geojson", problem.pdm, beside, GeoOrigin(56.0, -4.0))
+    with pytest.raises(
+        InvalidInput, match=r"'real': .*c\.geojson: its search area holds .* too lit"
+    ):
+        worlds_of(tmp_path, "worlds: {real: {maps: 'c.geojson', disc: 40, steps: 5}}")
+    worlds_of(tmp_path, text)
     file = tmp_path / "worlds.yaml"
     assert chosen(file, "real") == ["real a", "real b"]
     assert chosen(file, "real b") == ["real b"]

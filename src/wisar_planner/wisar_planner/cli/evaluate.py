@@ -175,10 +175,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-# Least probability in the area: persons are drawn from the map until enough lie inside.
-_LEAST_INSIDE = 1e-6
-
-
 def _check_outputs(args: argparse.Namespace) -> None:
     """Refuse what cannot be written, or would overwrite what is read, before the runs."""
     from wisar_planner.cli.output_files import check_names, make_places
@@ -232,7 +228,7 @@ def _value(text: str) -> Any:
 def _scenario(args: argparse.Namespace) -> Scenario:
     """Return the maps and the drone that the arguments ask for."""
     from wisar_planner.errors import InvalidInput
-    from wisar_planner.evaluation.scenario import FixedMap, RandomMaps
+    from wisar_planner.evaluation.scenario import FixedMap, RandomMaps, check_holds_persons
     from wisar_planner.search import SearchArea
 
     start = _start_rule(args.start)
@@ -264,12 +260,7 @@ def _scenario(args: argparse.Namespace) -> Scenario:
         x, y = loaded.frame.to_local([start[0]], [start[1]])[0]
         start = (float(x), float(y))
     maps = FixedMap(loaded.pdm, SearchArea.from_polygon(loaded.area), args.map.name, drone, start)
-    inside = maps.problem(args.seed, 0).probability_in_area
-    if inside < _LEAST_INSIDE:
-        raise InvalidInput(
-            f"{args.map}: its search area holds {inside:.1g} of the probability, too little to "
-            "draw missing persons from; give an area where the map says that they are"
-        )
+    check_holds_persons(maps.problem(args.seed, 0).probability_in_area, str(args.map))
     return maps
 
 

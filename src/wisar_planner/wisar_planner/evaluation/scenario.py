@@ -248,6 +248,32 @@ def persons_in_area(problem: SearchProblem, count: int, seed: int, index: int) -
     return kept[:count]
 
 
+# Least probability in the area: persons are drawn from the map until enough lie inside.
+_LEAST_INSIDE = 1e-6
+
+
+def check_holds_persons(inside: float, name: str) -> None:
+    """Check that missing persons can be drawn inside a search area.
+
+    Parameters
+    ----------
+    inside : float
+        Probability inside the area.
+    name : str
+        The map's file.
+
+    Raises
+    ------
+    InvalidInput
+        If the area holds next to nothing.
+    """
+    if inside < _LEAST_INSIDE:
+        raise InvalidInput(
+            f"{name}: its search area holds {inside:.1g} of the probability, too little to draw "
+            "missing persons from; give an area where the map says that they are"
+        )
+
+
 def _problem(
     pdm: ProbabilityMap, area: SearchArea, drone: Drone, rule: StartRule, seed: int, index: int
 ) -> SearchProblem:

@@ -19,7 +19,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from wisar_planner.errors import InvalidInput, positive
-from wisar_planner.evaluation.scenario import Drone, FixedMap, RandomMaps, Scenario
+from wisar_planner.evaluation.scenario import (
+    Drone,
+    FixedMap,
+    RandomMaps,
+    Scenario,
+    check_holds_persons,
+)
 from wisar_planner.evaluation.streams import Facet, stream
 from wisar_planner.pdm import GaussianMixture, Grid, ProbabilityMap, RasterMap
 from wisar_planner.search import SearchArea, SearchProblem
@@ -339,6 +345,7 @@ def _gis_worlds(
                     f"disc: none of the area of {file} is within {world.disc:g} m of the middle of "
                     "its bounds; give a larger disc"
                 )
+        check_holds_persons(loaded.pdm.integrate(polygon), str(file))
         area = SearchArea.from_polygon(polygon)
         scenario = FixedMap(loaded.pdm, area, file.name, world.drone, world.start)
         yield World(f"{entry} {file.stem}", entry, scenario)

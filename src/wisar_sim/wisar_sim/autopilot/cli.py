@@ -194,10 +194,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         ).run(lambda: stopped)
     except InvalidInput as error:
         print(f"sim_autopilot: {error}", file=sys.stderr)
-        return 2
+        return 1  # 2 is for arguments, which end a whole launch
     except OSError as error:
         print(f"sim_autopilot: connection lost: {error}", file=sys.stderr)
-        return 2
+        return 1
     finally:
         transport.close()
     return 0
