@@ -348,8 +348,9 @@ class MissionClient:
         Raises
         ------
         LinkError
-            If the vehicle is not armed, refuses or does not answer within three seconds, or an
-            upload is in progress, or the last one left a mission that was not verified.
+            If the vehicle is not armed, refuses or does not answer within three seconds (in the
+            air: to each of the steps that it takes there), or an upload is in progress, or the
+            last one left a mission that was not verified.
         """
         words = "start of the mission"
         state = self._require_vehicle()

@@ -146,8 +146,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 after SIGINT or SIGTERM, 2 after a mistake in the arguments, a connection
-        that cannot be opened or was lost, or missions that cannot be stored.
+        Exit status: 0 after SIGINT or SIGTERM, 1 where the connection was lost or missions cannot
+        be stored, 2 after a mistake in the arguments or a connection that cannot be opened.
     """
     args = _parser().parse_args(argv)
     stopped = False
