@@ -55,13 +55,13 @@ def run_worlds(args: argparse.Namespace, planners: Sequence[PlannerSpec]) -> int
         },
         "worlds": _run_all(args, planners, worlds, keep, stores),
     }
-    table = worlds_markdown(results)
-    print(table, end="")
     if identities != {spec.name: spec.identity() for spec in planners}:
         raise InvalidInput(
             "a policy changed between two worlds, so that the table is of two; copy the files to a "
             "place where nothing changes them, and begin anew"
         )
+    table = worlds_markdown(results)
+    print(table, end="")
     for path, text in (
         (args.json, json.dumps(results, indent=1, allow_nan=False) + "\n"),
         (args.markdown, table),

@@ -363,11 +363,13 @@ def _print_summary(
 
     efficiency, bound = scores
     of_bound = f", {efficiency / bound:.1%} of the bound {bound:.4f}"
+    if not bound_holds(problem, path):
+        of_bound = ""
     minutes = path.length / args.speed / 60.0
     rows = [
         ("probability seen", f"{path.seen_probability(problem.pdm):.4f}"),
         ("in the area", f"{problem.probability_in_area:.4f}"),
-        ("efficiency e_p", f"{efficiency:.4f}" + of_bound * bound_holds(problem, path)),
+        ("efficiency e_p", f"{efficiency:.4f}{of_bound}"),
         ("distance", f"{path.length:,.0f} m of {problem.max_distance:,.0f} m"),
         ("waypoints", f"{len(path.waypoints)}"),
         ("duration", f"{minutes:.1f} min at {args.speed:g} m/s, without the ways there and back"),

@@ -28,14 +28,14 @@ def notes_on_path(
     scores : tuple of float
         The efficiency and its bound.
     """
+    from wisar_planner.search.bound import bound_holds, length_outside
+
     notes = []
     if max(scores) > 1.0 + _ALIKE:
         notes.append(
             "e_p and its bound count what the swath sees beyond the border of the area too, so "
             "that they may pass 1 where the area is small"
         )
-    from wisar_planner.search.bound import bound_holds, length_outside
-
     outside = length_outside(problem, path)
     if outside > 0.0:
         length = f"{outside:,.{1 if outside < 10.0 else 0}f} m"

@@ -139,7 +139,7 @@ def _check_outputs(args: argparse.Namespace) -> None:
         [(option, path, ()) for option, path in outputs],
     )
     if args.figures:
-        outputs.append(("--figures", args.figures / "p_values.png"))
+        outputs.append(("--figures", args.figures / "path_extractor_p_values.png"))
     make_places(outputs)
 
 
