@@ -3,7 +3,7 @@ import pytest
 
 from wisar_planner import SearchPath, make_planner
 from wisar_planner.planners.random_kernels import random_state, uniform
-from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, as_path
+from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, exact_steps
 from wisar_planner.planners.refine_kernels import _propose
 from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
 
@@ -19,7 +19,7 @@ def annealed(problem, path, iterations, seed):
         raster, points, Schedule(), state, iterations=iterations, early_weight=EARLY_WEIGHT
     ):
         points = now.points
-    return as_path(problem, raster, points, path.planner)
+    return SearchPath(exact_steps(problem, raster, points), problem.swath_radius)
 
 
 def test_annealed_paths_see_more(paper_problem):

@@ -8,7 +8,7 @@ from scipy import stats
 
 from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
 from wisar_planner.planners import sac_search
-from wisar_planner.planners.lookahead import Monitor
+from wisar_planner.planners.monitor import Monitor
 
 
 def check(problem, path):

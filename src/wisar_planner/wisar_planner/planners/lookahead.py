@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import heapq
 import itertools
 import math
-import time
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from wisar_planner.errors import FloatArray
-from wisar_planner.planners.base import (
-    OnProgress,
-    OptionedPlanner,
-    PlanProgress,
-    ShouldStop,
-    option,
-)
+from wisar_planner.planners.base import OnProgress, OptionedPlanner, ShouldStop, option
 from wisar_planner.planners.cell_vectors import PERIODS
 from wisar_planner.planners.greedy import Greedy
+from wisar_planner.planners.monitor import Monitor
 from wisar_planner.planners.random_kernels import random_state
-from wisar_planner.planners.refine import EARLY_WEIGHT, Schedule, annealing, as_path
+from wisar_planner.planners.refine import EARLY_WEIGHT, exact_steps
 from wisar_planner.planners.rollout_kernels import rollout
-from wisar_planner.planners.search_raster import COARSE, FINE, SearchRaster
+from wisar_planner.planners.search_raster import COARSE, SearchRaster
+from wisar_planner.planners.stages import Found, Stages
 from wisar_planner.planners.swath_kernels import path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
@@ -38,42 +32,8 @@ _HUGS = (0.0, 0.1, 0.2)
 _ARRIVALS = (math.nan, *(2.0 * math.pi * k / 8 for k in range(8)))
 # Most places that rollouts fly to first.
 _MOST_TARGETS = 6
-# Paths whose exact seen probability is compared where the search was stopped early.
-_FINALISTS = 3
 # Share of the time that the first paths may take.
 FIRST_SHARE = 0.2
-
-
-class _Stage(NamedTuple):
-    """One round of annealing: how many paths, how fine, until which share of the budget."""
-
-    paths: int
-    cells_per_radius: float
-    until: float
-    schedule: Schedule
-
-
-# Many paths shortly, the best of them longer, the best of all to the end.
-_STAGES = (
-    _Stage(8, COARSE, 0.3, Schedule(0.05, 0.005)),
-    _Stage(3, COARSE, 0.5, Schedule(0.03, 0.005)),
-    _Stage(1, FINE, 1.0, Schedule(0.02, 0.002)),
-)
-# Where there is time for few moves a step: fewer paths, and longer on the raster of fast moves.
-_SHORT_STAGES = (
-    _Stage(3, COARSE, 0.3, Schedule(0.05, 0.005)),
-    _Stage(1, COARSE, 0.75, Schedule(0.04, 0.005)),
-    _Stage(1, FINE, 1.0, Schedule(0.01, 0.002)),
-)
-# So many moves a step are few, and so many moves are about what a machine makes in a second.
-_FEW_MOVES, _MOVES_PER_SECOND = 700.0, 160_000.0
-
-
-class Found(NamedTuple):
-    """A path in cells, and its value with what early weight adds."""
-
-    value: float
-    points: FloatArray
 
 
 @dataclass(frozen=True)
@@ -82,10 +42,9 @@ class Lookahead(OptionedPlanner):
 
     First come rollouts, whole paths that fly straight to one of the peaks of the map (or to none),
     leave it in one of several directions and go on greedily, more or less closely along what they
-    have seen. The best are refined by simulated annealing, see `annealing`: many for a short while,
-    the best of those for longer, and the last one for the rest of the budget. All this works on
-    rasters; only of a search that was stopped before one path was left, the best few are compared
-    by their exact seen probability.
+    have seen. The best are refined by simulated annealing on a raster: many for a short while, the
+    best of those for longer. These go up the gradient of what they really see; then the best of all
+    is shaken and does so again, until the budget is spent. See `Stages`.
     """
 
     name: ClassVar[str] = "lookahead"
@@ -93,8 +52,8 @@ class Lookahead(OptionedPlanner):
     time_budget_s: float = option(2.0, "Time to search, s.", minimum=0.01, maximum=86400.0)
     max_iterations: int = option(
         0,
-        "Number of annealing moves; above 0 it replaces the time budget, and the path then depends "
-        "on the problem and the seed alone.",
+        "Number of annealing moves, or of what takes as long; above 0 it replaces the time budget, "
+        "and the path then depends on the problem and the seed alone.",
         minimum=0,
     )
     early_weight: float = option(
@@ -115,7 +74,14 @@ class Lookahead(OptionedPlanner):
         """Return the best path found in time; see `Planner.plan`."""
         if problem.steps == 0:
             return SearchPath(problem.start[None], problem.swath_radius, self.name)
-        monitor = Monitor(problem, self._seconds, on_progress, should_stop)
+        timed = self.max_iterations == 0
+        monitor = Monitor(
+            problem,
+            self.time_budget_s if timed else math.inf,
+            math.inf if timed else self.max_iterations,
+            on_progress,
+            should_stop,
+        )
         raster = SearchRaster(problem, COARSE)
         found = self._first_paths(problem, raster, monitor)
         if not found:
@@ -123,52 +89,8 @@ class Lookahead(OptionedPlanner):
             path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)
             return dataclasses.replace(path, planner=self.name)
         state = random_state(np.random.default_rng(self.seed))
-        begins = 0.0
-        for stage in self._stages(problem.steps):
-            if monitor.stopped():
-                break
-            found = heapq.nlargest(stage.paths, found, key=lambda each: each.value)
-            if stage.cells_per_radius != raster.cells_per_radius:
-                flown = [raster.to_metres(each.points) for each in found]
-                raster = SearchRaster(problem, stage.cells_per_radius, np.concatenate(flown))
-                found = [
-                    each._replace(points=raster.to_cells(points))
-                    for each, points in zip(found, flown, strict=True)
-                ]
-            for i, each in enumerate(found):
-                if monitor.stopped():
-                    break
-                share = (stage.until - begins) / len(found)
-                until = begins + (i + 1) * share
-                seconds = max(0.0, (until - monitor.spent()) * self._seconds)
-                run = annealing(
-                    raster, each.points, stage.schedule, state,
-                    seconds=seconds if self._timed else math.inf,
-                    iterations=None if self._timed else math.ceil(share * self.max_iterations),
-                    early_weight=self.early_weight,
-                )  # fmt: skip
-                for now in run:
-                    found[i] = Found(now.value, now.points)
-                    monitor.report(now.probability, until - (1.0 - now.fraction) * share)
-                    if monitor.stopped():
-                        break
-            begins = stage.until
-        finalists = heapq.nlargest(_FINALISTS, found, key=lambda each: each.value)
-        paths = [as_path(problem, raster, each.points, self.name) for each in finalists]
-        return max(paths, key=lambda path: path.seen_probability(problem.pdm))
-
-    @property
-    def _timed(self) -> bool:
-        return self.max_iterations == 0
-
-    @property
-    def _seconds(self) -> float:
-        return self.time_budget_s if self._timed else math.inf
-
-    def _stages(self, steps: int) -> tuple[_Stage, ...]:
-        """Return the rounds of annealing for paths of so many steps."""
-        moves = self.max_iterations or _MOVES_PER_SECOND * self.time_budget_s
-        return _SHORT_STAGES if moves < _FEW_MOVES * steps else _STAGES
+        stages = Stages(problem, raster, monitor, state, self.early_weight)
+        return SearchPath(stages.best_of(found), problem.swath_radius, self.name)
 
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
@@ -196,54 +118,12 @@ class Lookahead(OptionedPlanner):
             )  # fmt: skip
             if complete:
                 found.append(Found(path_value(tally, self.early_weight), points))
-                monitor.report(tally[-1] * raster.unit, 0.0)
+                monitor.report(exact_steps(problem, raster, points))
             else:
                 monitor.asked_to_stop()
             if monitor.stopped() or monitor.spent() > until:
                 break
         return found
-
-
-class Monitor:
-    """The clock of a plan, the best it has to tell, and whether it was told to stop."""
-
-    def __init__(
-        self,
-        problem: SearchProblem,
-        seconds: float,
-        on_progress: OnProgress | None,
-        should_stop: ShouldStop | None,
-    ) -> None:
-        self._began = time.monotonic()
-        self._seconds = seconds
-        self._probability_in_area = problem.probability_in_area
-        self._on_progress = on_progress
-        self._should_stop = should_stop
-        self._best = 0.0
-        self._stopped = False
-
-    def spent(self) -> float:
-        """Return the share of the time that is spent; 0 without a time budget."""
-        return (time.monotonic() - self._began) / self._seconds
-
-    def stopped(self) -> bool:
-        """Return whether the plan was told to stop when it last reported."""
-        return self._stopped
-
-    def asked_to_stop(self) -> bool:
-        """Ask whether to stop."""
-        self._stopped = self._should_stop is not None and self._should_stop()
-        return self._stopped
-
-    def report(self, probability: float, fraction: float) -> None:
-        """Tell the best so far and ask whether to stop."""
-        self._best = max(self._best, probability)
-        if self._on_progress is not None:
-            fraction = min(1.0, max(fraction, self.spent()))
-            efficiency = self._best / self._probability_in_area
-            elapsed = time.monotonic() - self._began
-            self._on_progress(PlanProgress(elapsed, efficiency, fraction))
-        self.asked_to_stop()
 
 
 def _blocks(problem: SearchProblem, raster: SearchRaster) -> tuple[FloatArray, float, list[int]]:

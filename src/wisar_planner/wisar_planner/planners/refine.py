@@ -15,7 +15,6 @@ from wisar_planner.planners.random_kernels import StateArray
 from wisar_planner.planners.refine_kernels import THRESHOLDS, anneal
 from wisar_planner.planners.search_raster import SearchRaster
 from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
-from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 
 # Default of what probability seen early is worth in addition, see `path_value`.
@@ -52,8 +51,10 @@ class Annealed:
     ----------
     points : (N + 1, 2) float64
         The best path so far, in cells.
+    current : (N + 1, 2) float64
+        The path that annealing has come to, in cells.
     value : float
-        What annealing maximises: the weight it sees plus what early weight adds.
+        What annealing maximises: the weight that the best path sees plus what early weight adds.
     probability : float
         Probability that it sees, by the raster.
     iterations : int
@@ -63,6 +64,7 @@ class Annealed:
     """
 
     points: FloatArray
+    current: FloatArray
     value: float
     probability: float
     iterations: int
@@ -135,16 +137,14 @@ def annealing(
                 ahead = min(1.0, 2.0 * spent - fraction)
                 fraction = min(1.0, spent)
             value = path_value(tallies[1], early_weight)
-            yield Annealed(best_points, value, tallies[1, -1] * raster.unit, done, fraction)
+            probability = tallies[1, -1] * raster.unit
+            yield Annealed(best_points, current, value, probability, done, fraction)
     finally:
         paint_path(raster.canvas, current, 0, steps, raster.radius, REMOVE, tallies[0])
 
 
-def as_path(
-    problem: SearchProblem, raster: SearchRaster, points: FloatArray, planner: str
-) -> SearchPath:
-    """Return points in cells as a path from the problem's start with exact step lengths."""
+def exact_steps(problem: SearchProblem, raster: SearchRaster, points: FloatArray) -> FloatArray:
+    """Return points in cells in metres, (N + 1, 2), from the problem's start in exact steps."""
     moves = np.diff(raster.to_metres(points), axis=0)
     moves *= problem.step_length / np.hypot(*moves.T)[:, None]
-    waypoints = problem.start + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
-    return SearchPath(waypoints, problem.swath_radius, planner)
+    return problem.start + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])

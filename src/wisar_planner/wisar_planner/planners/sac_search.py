@@ -13,9 +13,11 @@ import numpy as np
 from wisar_planner.errors import FloatArray
 from wisar_planner.planners.base import option
 from wisar_planner.planners.cell_vectors import PERIODS
-from wisar_planner.planners.lookahead import FIRST_SHARE, Found, Lookahead, Monitor
+from wisar_planner.planners.lookahead import FIRST_SHARE, Lookahead
+from wisar_planner.planners.monitor import Monitor
 from wisar_planner.planners.sac import MODEL_HELP, trained_policy
 from wisar_planner.planners.search_raster import SearchRaster
+from wisar_planner.planners.stages import Found
 from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
 from wisar_planner.policy.model import DEFAULT_MODEL
 from wisar_planner.policy.rollout import Terrain, fly
@@ -64,9 +66,8 @@ class SacSearch(Lookahead):
             if paths.shape[1] <= problem.steps:
                 break
             for path in paths:
-                each, probability = self._valued(raster, path)
-                found.append(each)
-                monitor.report(probability, 0.0)
+                found.append(self._valued(raster, path))
+                monitor.report(path)
             if monitor.stopped():
                 break
             flown += count
@@ -80,15 +81,15 @@ class SacSearch(Lookahead):
         until = max(FIRST_SHARE, monitor.spent() + 0.5 * FIRST_SHARE)
         return found + self._rollouts(problem, raster, monitor, until)
 
-    def _valued(self, raster: SearchRaster, path: FloatArray) -> tuple[Found, float]:
-        """Return a path in metres with its value on the raster, and the probability it sees."""
+    def _valued(self, raster: SearchRaster, path: FloatArray) -> Found:
+        """Return a path in metres with its value on the raster."""
         points = raster.to_cells(path)
         tally = np.zeros(PERIODS, np.int64)
         arguments = (raster.canvas, points, 0, len(points) - 1, raster.radius)
         paint_path(*arguments, ADD, tally)
-        value, probability = path_value(tally, self.early_weight), tally[-1] * raster.unit
+        value = path_value(tally, self.early_weight)
         paint_path(*arguments, REMOVE, tally)
-        return Found(value, points), probability
+        return Found(value, points)
 
 
 def _give_up(monitor: Monitor) -> Callable[[FloatArray], bool]:

@@ -38,6 +38,7 @@ CAPSULE = np.dtype(
         ("uy", np.float64),
         ("length", np.float64),
         ("radius", np.float64),
+        ("step", np.int64),  # which of the steps added it is
         ("first", np.int64),  # its first piece on the union's boundary, or -1
         ("stamp", np.int64),  # the query that met it last
     ]
@@ -55,7 +56,7 @@ CELL = np.dtype([("key", np.int64), ("first", np.int64)])
 ENTRY = np.dtype([("capsule", np.int64), ("next", np.int64)])
 
 # Slots of the `used` array: how much of each array is in use, and the rest of the state.
-CAPSULES, PIECES, FREE, ENTRIES, CELLS, QUERIES, OUT = range(7)
+CAPSULES, PIECES, FREE, ENTRIES, CELLS, QUERIES, OUT, STEPS = range(8)
 # The box of a whole capsule, after those of its parts.
 WHOLE = 4
 EMPTY_KEY = np.iinfo(np.int64).min
@@ -173,7 +174,7 @@ def _extent(capsule: Any, part: int) -> float:
 
 
 @njit(cache=True)
-def _point(capsule: Any, part: int, t: float) -> tuple[float, float]:
+def part_point(capsule: Any, part: int, t: float) -> tuple[float, float]:
     """Return the point at position t of a part, relative to the start of the leg."""
     ux, uy, radius = capsule["ux"], capsule["uy"], capsule["radius"]
     if part == 0:
@@ -465,8 +466,8 @@ def _register(union: Union, new: int, cell: float) -> bool:
 def _emit(capsule: Any, part: int, begin: float, end: float, out: FloatArray, index: int) -> None:
     """Write a piece, from `begin` to `end` on a part, as maps integrate along it."""
     if part % 2 == 0:
-        x0, y0 = _point(capsule, part, begin)
-        x1, y1 = _point(capsule, part, end)
+        x0, y0 = part_point(capsule, part, begin)
+        x1, y1 = part_point(capsule, part, end)
         out[index, 0] = capsule["ax"] + x0
         out[index, 1] = capsule["ay"] + y0
         out[index, 2] = capsule["ax"] + x1
@@ -489,7 +490,7 @@ def _landmark(capsule: Any, part: int, t: float, frame: Any, unit: float) -> flo
     Summed over the ends of pieces less their beginnings it vanishes if the pieces close. It is
     not linear, lest errors on two opposite sides cancel.
     """
-    x, y = _point(capsule, part, t)
+    x, y = part_point(capsule, part, t)
     x = (x + capsule["ax"] - frame["ax"]) / unit
     y = (y + capsule["ay"] - frame["ay"]) / unit
     return x * (0.73 + 0.41 * x - 0.29 * y) + y * (0.57 + 0.83 * y)
@@ -522,7 +523,7 @@ def _cover(
         end = cuts[1, part, k] if k < counts[1, part] else extent
         if end <= begin:
             continue
-        x, y = _point(capsule, part, 0.5 * (begin + end))
+        x, y = part_point(capsule, part, 0.5 * (begin + end))
         inside = _contains(other, x - ox, y - oy)
         if inside:
             if not was_inside:
@@ -565,7 +566,7 @@ def _split(
             continue
         inside = False
         if reachable:
-            x, y = _point(other, part, 0.5 * (begin + end))
+            x, y = part_point(other, part, 0.5 * (begin + end))
             inside = _contains(capsule, x + ox, y + oy)
         if inside:
             if side != 1:
@@ -784,6 +785,7 @@ def add_steps(
     for i in range(first, len(ends)):
         front, back = _place(union, starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1], radius)
         if front == 0:
+            used[STEPS] += 1
             continue
         if (
             front < 0
@@ -794,6 +796,8 @@ def add_steps(
             return i
         if emitting:
             _emit_region(union, front, i)
+        union.capsules[used[CAPSULES]]["step"] = used[STEPS]
+        used[STEPS] += 1
         _store(union, front, back)
     return len(ends)
 

@@ -43,7 +43,7 @@ class SeenArea:
         self.pdm = pdm
         self.swath_radius = positive(swath_radius, "swath_radius")
         self.probability = 0.0
-        self._union = _CapsuleUnion(self.swath_radius, steps=16)
+        self._union = CapsuleUnion(self.swath_radius, steps=16)
 
     def add(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float:
         """Add a step and return the probability that it newly sees.
@@ -96,13 +96,13 @@ def gains_along(pdm: ProbabilityMap, waypoints: FloatArray, radius: float) -> Fl
 
     The first is that of the disc around the first waypoint.
     """
-    union = _CapsuleUnion(radius, steps=len(waypoints))
+    union = CapsuleUnion(radius, steps=len(waypoints))
     return union.add(np.concatenate([waypoints[:1], waypoints[:-1]]), waypoints, pdm)
 
 
 def probability_seen(pdm: ProbabilityMap, waypoints: FloatArray, radius: float) -> float:
     """Return the probability within `radius` of a path, (N + 1, 2) m."""
-    union = _CapsuleUnion(radius, steps=len(waypoints))
+    union = CapsuleUnion(radius, steps=len(waypoints))
     legs = max(len(waypoints) - 1, 1)  # A single point is a leg of length 0.
     union.add(waypoints[:legs], waypoints[-legs:])
     boundary = union.boundary()
@@ -117,7 +117,7 @@ def _point(value: npt.ArrayLike, name: str) -> FloatArray:
     return point.reshape(1, 2)
 
 
-class _CapsuleUnion:
+class CapsuleUnion:
     """Owner of the arrays that the kernels work on; they grow when a kernel finds them full."""
 
     def __init__(self, radius: float, steps: int) -> None:
@@ -128,7 +128,7 @@ class _CapsuleUnion:
             pieces=np.empty(8 * steps, kernels.PIECE),
             cells=_empty_cells(16 * steps),
             entries=np.empty(8 * steps, kernels.ENTRY),
-            used=np.zeros(7, np.int64),
+            used=np.zeros(8, np.int64),
             neighbours=np.empty(64, np.int64),
             fresh=np.empty(256, kernels.PIECE),
             covers=np.empty((4, 128, 2)),
@@ -164,7 +164,7 @@ class _CapsuleUnion:
         """Return the boundary of the union as pieces, (N, 5)."""
         return kernels.union_boundary(self.arrays)
 
-    def copy(self) -> _CapsuleUnion:
+    def copy(self) -> CapsuleUnion:
         """Return a copy that shares only the room to work in."""
         other = copy.copy(self)
         kept = ("capsules", "boxes", "pieces", "cells", "entries", "used")
