@@ -240,7 +240,16 @@ def test_help_tells_what_the_node_does() -> None:
     assert "Publishes a probability map" in done.stdout
 
 
-HEAVY = ("scipy.special", "scipy.sparse", "scipy.ndimage", "rasterio", "matplotlib", "torch")
+HEAVY = (
+    "scipy.linalg",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.sparse",
+    "scipy.special",
+    "rasterio",
+    "matplotlib",
+    "torch",
+)
 
 
 @pytest.mark.parametrize("name", ["mavlink_bridge", "pdm_server", "planner"])

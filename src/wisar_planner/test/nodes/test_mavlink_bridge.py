@@ -50,7 +50,7 @@ class FakeClient:
         self.changes: tuple[str, ...] = ()  # of the mission since its upload
         self.while_reading: Callable[[], None] = lambda: None
         self.reads = 0
-        self.starts = 0
+        self.starts = self.resumes = 0
 
     def upload(
         self, mission: object, *, on_progress: Callable[[UploadProgress], None], **_: Any
@@ -72,11 +72,15 @@ class FakeClient:
     def ask(self) -> None:
         """Accept whatever is asked for."""
 
-    arm = pause = resume = return_to_launch = close = ask
+    arm = pause = return_to_launch = close = ask
 
     def start_mission(self) -> None:
         """Count the starts."""
         self.starts += 1
+
+    def resume(self) -> None:
+        """Count how often the mission was gone on with."""
+        self.resumes += 1
 
     def changes_since(self, _mission: object) -> tuple[str, ...]:
         """Read back what the vehicle holds."""
@@ -338,7 +342,7 @@ def test_a_bridge_begun_in_flight_resumes_what_it_has_seen_flown(bridge: Mavlink
     assert resume().success
 
 
-@pytest.mark.parametrize("request_name", ["_arm", "_start_mission"])
+@pytest.mark.parametrize("request_name", ["_arm", "_start_mission", "_resume"])
 def test_another_mission_on_the_vehicle_is_seen_before_it_is_flown(holding, request_name) -> None:
     """Another ground station put it there, or another vehicle was switched on."""
     request = asking(holding, getattr(holding, request_name))
@@ -369,10 +373,13 @@ def test_a_connection_that_broke_for_a_moment_lets_the_mission_be_read_again(hol
     assert holding._client.reads == 1
 
 
-@pytest.mark.parametrize("request_name", ["_pause", "_return_to_launch"])
-def test_a_start_is_given_up_for_what_was_asked_for_while_it_read(holding, request_name) -> None:
+@pytest.mark.parametrize("urgent_name", ["_pause", "_return_to_launch"])
+@pytest.mark.parametrize("start_name", ["_start_mission", "_resume"])
+def test_a_start_is_given_up_for_what_was_asked_for_while_it_read(
+    holding, start_name, urgent_name
+) -> None:
     """Else it would take the vehicle out of the pause or the return."""
-    start, urgent = (asking(holding, getattr(holding, n)) for n in ("_start_mission", request_name))
+    start, urgent = (asking(holding, getattr(holding, n)) for n in (start_name, urgent_name))
     answers = []
     holding._client.while_reading = lambda: answers.append(urgent())
     holding._proved_at -= mavlink_bridge.PROOF_LASTS
@@ -380,7 +387,7 @@ def test_a_start_is_given_up_for_what_was_asked_for_while_it_read(holding, reque
     assert not answer.success
     assert "given up" in answer.message
     assert [a.success for a in answers] == [True]
-    assert holding._client.starts == 0
+    assert holding._client.starts == holding._client.resumes == 0
     assert start().success
 
 

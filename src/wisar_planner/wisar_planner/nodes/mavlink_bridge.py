@@ -42,7 +42,7 @@ Result = UploadMission.Result
 STATUS_PERIOD = 1.0
 """Seconds between two `mission_status` messages when nothing changes."""
 PROOF_LASTS = 10.0
-"""Seconds after which a mission that was read back is read again before it is started.
+"""Seconds after which a mission that was read back is read again before it is flown.
 
 Armed on the ground, vehicles disarm by themselves after about as long: a start that comes before
 does not wait for another reading on a slow link.
@@ -527,13 +527,18 @@ class MavlinkBridge(Node):
             self._client.start_mission()
 
     def _resume(self) -> None:
-        """Go on with what this bridge has verified, or has itself seen the vehicle fly."""
-        with self._requests.one("resume"):
+        """Go on with what this bridge has verified, or has itself seen the vehicle fly.
+
+        What was verified is read back first, as for a start.
+        """
+        with self._requests.one("resume") as check:
             if self._verified is None and not self._seen_flying:
                 raise LinkError(
                     "resume: this bridge has neither verified a mission nor seen the vehicle fly "
                     "one since it began; call upload_mission, then start_mission"
                 )
+            self._prove("resume")
+            check()
             self._client.resume()
 
     def _pause(self) -> None:

@@ -29,6 +29,7 @@ from wisar_planner.nodes.latest_map import LatestMap
 from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED
 from wisar_planner.nodes.runtime import spin
 from wisar_planner.planners.base import PlanProgress
+from wisar_planner.planners.polish import preload
 from wisar_planner.planners.registry import make_planner, planner_names, planner_options
 from wisar_planner.search import SearchProblem
 
@@ -116,6 +117,7 @@ class PlannerNode(Node):
         self._goals = 0  # accepted, valid, not yet ended
         self._closing = threading.Event()
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="plan")
+        self._worker.submit(preload)  # before the first plan, which has a budget to keep
         self._plan_publisher = self.create_publisher(SearchPlan, "plan", LATCHED)
         self._path_publisher = self.create_publisher(Path, "path", LATCHED)
         self.create_subscription(ProbabilityMap, "pdm", self._on_map, ALL_LATCHED)

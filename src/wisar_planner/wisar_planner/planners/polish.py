@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
+import scipy  # Its parts are imported when they are used first, which `preload` may do.
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.pdm.boundary import polygon_edges
@@ -27,6 +27,12 @@ _DAMPING = 0.1
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # Where progress per iteration falls below this share of a step's mean gain, the ascent ends.
 _TOLERANCE = 1e-5
+
+
+def preload() -> None:
+    """Import what polishing takes of SciPy, which takes as long as all else of a node's start."""
+    for part in ("linalg", "optimize"):
+        importlib.import_module(f"scipy.{part}")
 
 
 class Polished(NamedTuple):
@@ -112,7 +118,7 @@ class Polisher:
             if on_progress(ascent.path(intermediate_result.x)):
                 raise StopIteration
 
-        result = minimize(
+        result = scipy.optimize.minimize(
             loss, np.zeros(steps), jac=True, method="L-BFGS-B", callback=on_iteration,
             options={
                 "maxcor": 20, "ftol": _TOLERANCE / steps, "gtol": 0.0,
@@ -152,7 +158,7 @@ class _Ascent:
         across = np.column_stack([-moves[:, 1], moves[:, 0]])
         metric = (across @ across.T) * np.minimum.outer(left, left)
         metric[np.diag_indices(steps)] += _DAMPING * np.trace(metric) / steps
-        self._root = cholesky(metric)
+        self._root = scipy.linalg.cholesky(metric)
 
     def path(self, moved: FloatArray) -> FloatArray:
         """Return the waypoints, (N + 1, 2) m, for coordinates, (N,); 0 is where it began."""
@@ -164,8 +170,9 @@ class _Ascent:
         after = np.cumsum(gradient[:0:-1], axis=0)[::-1]  # A heading moves all waypoints after it.
         cos, sin = self._directions(moved).T
         by_headings = self._lengths * (after[:, 1] * cos - after[:, 0] * sin)
-        return solve_triangular(self._root, by_headings, trans="T", check_finite=False)
+        return scipy.linalg.solve_triangular(self._root, by_headings, trans="T", check_finite=False)
 
     def _directions(self, moved: FloatArray) -> FloatArray:
-        turned = self._headings + solve_triangular(self._root, moved, check_finite=False)
+        turns = scipy.linalg.solve_triangular(self._root, moved, check_finite=False)
+        turned = self._headings + turns
         return np.column_stack([np.cos(turned), np.sin(turned)])
