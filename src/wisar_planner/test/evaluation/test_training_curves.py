@@ -19,7 +19,7 @@ from wisar_planner.evaluation.training_curves import (
     markdown,
     read_curve,
 )
-from wisar_planner.policy.model import Model
+from wisar_planner.policy.model import Model, find_model, load_model
 from wisar_planner.training.judging import fly_problem
 from wisar_planner.training.problems import random_problems
 from wisar_planner.training.records import Validation, read_checkpoint, write_checkpoint
@@ -189,13 +189,33 @@ def test_a_policy_is_judged_as_it_is_planned_with(tmp_path, trained, capsys) -> 
     assert "must be at least 1, not 0" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("ablation", ["mlp", "no_fine_scale"])
-def test_what_no_planner_can_fly_is_judged_by_the_raster(
-    tmp_path, trained, capsys, ablation
-) -> None:
+@pytest.mark.parametrize("ablation", ["mlp", "no_fine_scale", "absolute_heading"])
+def test_what_no_planner_can_fly_is_judged_exactly_too(tmp_path, trained, capsys, ablation) -> None:
+    """Which is what the raster of its environment tells, but for the width of its cells."""
     run = trained(dataclasses.replace(TINY, ablation=ablation))
-    share = float(run.fly(3, fresh_generator(run.device)).share.mean())
-    assert on_fresh_maps(tmp_path, capsys) == f"{100.0 * share:.1f}% by the raster"
+    flown: list[int] = []
+    curve = fly_fresh_maps(read_curve(tmp_path), tmp_path, 3, flown.append)
+    by_raster = float(run.fly(3, fresh_generator(run.device)).share.mean())
+    assert curve.fresh_share == pytest.approx(by_raster, rel=0.03)
+    assert curve.fresh_share != by_raster
+    assert sum(flown) == 3
+    assert on_fresh_maps(tmp_path, capsys) == f"{100.0 * curve.fresh_share:.1f}%"
+
+
+def test_flights_in_the_environment_are_those_of_plans(trained) -> None:
+    """So that ablations are flown over the same maps as what they are compared with.
+
+    Rounding differs, so that some flights part from each other.
+    """
+    plain = load_model(find_model("sac_plain"))
+    run = trained(dataclasses.replace(TINY, sac=SacSettings(channels=32, blocks=3)))
+    run.sac.actor = {name: torch.tensor(each) for name, each in plain.weights.items()}
+    problems = random_problems(24, 0, WorldDistribution(), fresh_generator(run.device))
+    planned = torch.tensor([fly_problem(each, plain)[1] for each in problems])
+    judged = run.judge(24, fresh_generator(run.device), lambda _: None)
+    assert judged.exact
+    assert float(judged.share.mean()) == pytest.approx(float(planned.mean()), rel=0.01)
+    assert int(((judged.share - planned).abs() < 0.01).sum()) > 12
 
 
 @pytest.mark.parametrize("ablation", ["", "mlp"])

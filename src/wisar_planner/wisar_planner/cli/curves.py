@@ -39,8 +39,7 @@ def add_parser(subparsers: Any) -> None:
         type=int,
         metavar="N",
         help="fly each run's last policy on N maps that neither training nor validation meets; all "
-        "are judged by the exact seen probability but ablations and the paper's, which no planner "
-        "can fly",
+        "are judged by the exact seen probability but the paper's",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the curves, e.g. .png")

@@ -110,7 +110,7 @@ def fly_fresh_maps(
 
     It is flown as plans fly it and judged by the exact seen probability, however the run itself
     judges its policies. Ablations and the paper's policy, which no planner can fly, are flown in
-    the environment that they were trained in and judged by its raster.
+    the environment that they were trained in; the paper's is judged by its raster.
 
     Parameters
     ----------
@@ -134,9 +134,10 @@ def fly_fresh_maps(
     told = on_flown or (lambda _: None)
     device = torch.device("cpu")
     generator, model = fresh_generator(device), last_policy(folder)
+    by_raster = False
     if model is None:
-        shares = load_run(folder, device).fly(maps, generator).share.tolist()
-        told(maps)
+        flights = load_run(folder, device).judge(maps, generator, told)
+        shares, by_raster = flights.share.tolist(), not flights.exact
     else:
         shares = []
         for _, share in fly_problems(
@@ -144,7 +145,7 @@ def fly_fresh_maps(
         ):
             shares.append(share)
             told(1)
-    return dataclasses.replace(curve, fresh_share=_mean(shares), fresh_by_raster=model is None)
+    return dataclasses.replace(curve, fresh_share=_mean(shares), fresh_by_raster=by_raster)
 
 
 def check_seeds(curves: Sequence[TrainingCurve]) -> None:

@@ -56,6 +56,8 @@ class SearchEnvironment:
         self.heading, self.steps, self.steps_left = zeros(), zeros(), zeros()
         #: Density x cells in the area when the search began, and what was seen of it since.
         self.in_area, self.seen = zeros(), zeros()
+        #: Where the last steps ended, before searches began anew.
+        self.reached = zeros(2)
         turns = torch.arange(_TURNS + 1, device=device)
         sign = 1.0 - 2.0 * (turns % 2)
         self._turns = sign * torch.ceil(turns / 2.0) * (2.0 * math.pi / _TURNS)
@@ -106,6 +108,7 @@ class SearchEnvironment:
         end = ends[rows, first]
         gain = self.unseen.see(self.position, end)
         self.position, self.heading = end, headings[rows, first]
+        self.reached = end.clone()
         self.steps_left = self.steps_left - 1.0
         self.seen = self.seen + gain
         reward = gain / (2.0 * self.unseen.radius * self.unseen.step)

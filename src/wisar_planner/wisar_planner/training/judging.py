@@ -17,6 +17,7 @@ from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
 from wisar_planner.training.ablation import make_environment
 from wisar_planner.training.divergence import check_finite
+from wisar_planner.training.problems import random_problems
 from wisar_planner.training.processes import in_processes
 from wisar_planner.training.worlds import WorldDistribution
 
@@ -32,11 +33,14 @@ class Flights(NamedTuple):
         The same as a share of the bound, the most probable ground that fits into the swath.
     figures : dict of str to float
         What else there is to tell.
+    exact : bool
+        Whether both are of the exact seen probability instead of a raster's.
     """
 
     efficiency: Tensor
     share: Tensor
     figures: dict[str, float]
+    exact: bool = False
 
 
 @torch.no_grad()
@@ -74,6 +78,36 @@ def fly_maps(
         seen += searching * reward * step_area
         searching = searching * ~done
     return Flights(seen / in_area, seen / swept, {})
+
+
+@torch.no_grad()
+def fly_maps_exactly(
+    act: Callable[[Observation], Tensor],
+    maps: int,
+    generator: torch.Generator,
+    ablation: str,
+    on_flown: Callable[[int], None],
+) -> Flights:
+    """Fly a policy as `fly_maps` does in the paper's setup, judged as `fly_problem` does.
+
+    `on_flown` is told how many more maps were flown.
+    """
+    worlds = WorldDistribution()
+    same = torch.Generator(generator.device)
+    same.set_state(generator.get_state())
+    environment = make_environment(ablation, maps, worlds, generator)
+    points = [environment.position.clone()]
+    for _ in range(int(environment.steps.max())):
+        environment.step(act(environment.observe()))
+        points.append(environment.reached)
+    waypoints = torch.stack(points, dim=1).double().cpu().numpy()
+    efficiency, share = torch.zeros(maps), torch.zeros(maps)
+    for k, problem in enumerate(random_problems(maps, 0, worlds, same)):
+        path = SearchPath(waypoints[k], problem.swath_radius)
+        efficiency[k] = path.probability_efficiency(problem)
+        share[k] = efficiency[k] / upper_bound(problem)
+        on_flown(1)
+    return Flights(efficiency, share, {}, exact=True)
 
 
 def fly_problem(problem: SearchProblem, model: Model) -> tuple[float, float]:

@@ -77,6 +77,14 @@ class Run(ABC, Generic[Config]):
     def fly(self, maps: int, generator: torch.Generator) -> Flights:
         """Fly the present policy, without noise, on random maps of the paper's setup."""
 
+    def judge(
+        self, maps: int, generator: torch.Generator, on_flown: Callable[[int], None]
+    ) -> Flights:
+        """Fly as `fly` does; exact where the run can, and tell how many more maps were flown."""
+        flights = self.fly(maps, generator)
+        on_flown(maps)
+        return flights
+
     @abstractmethod
     def _learn(self, on_progress: OnProgress) -> Iterator[dict[str, float]]:
         """Train on to the end; whenever a validation is due, yield figures since the last one."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from wisar_planner.policy.heading import GAUSSIAN
 from wisar_planner.policy.model import save_model
 from wisar_planner.training.ablation import make_environment, make_network
-from wisar_planner.training.judging import Flights, fly_maps
+from wisar_planner.training.judging import Flights, fly_maps, fly_maps_exactly
 from wisar_planner.training.records import (
     Validation,
     card_of,
@@ -87,6 +87,14 @@ class SacRun(Run[SacConfig]):
         """Fly the present policy; see `Run.fly`."""
         return fly_maps(
             lambda shown: self.sac.act(shown, None), maps, generator, ablation=self.config.ablation
+        )
+
+    def judge(
+        self, maps: int, generator: torch.Generator, on_flown: Callable[[int], None]
+    ) -> Flights:
+        """Fly the present policy by the exact seen probability; see `Run.judge`."""
+        return fly_maps_exactly(
+            lambda shown: self.sac.act(shown, None), maps, generator, self.config.ablation, on_flown
         )
 
     def _save_model(self, path: Path, result: Validation) -> None:
