@@ -9,14 +9,16 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
+from scipy.optimize import approx_fprime
 
 from wisar_planner.errors import FloatArray
 from wisar_planner.evaluation.bench_row import BenchRow
 from wisar_planner.pdm import GaussianMixture
 from wisar_planner.pdm.closed_form import mixture_in_polygon
+from wisar_planner.search.gradient import seen_with_gradient
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
-from wisar_planner.search.seen_area import SeenArea
+from wisar_planner.search.seen_area import SeenArea, probability_seen
 
 _TOLERANCE = 1e-6
 
@@ -106,8 +108,53 @@ def incremental_step_growth_50_to_5000(repeats: int = 30) -> BenchRow:
     )
 
 
+def gradient_64_waypoints(paths: int = 20, repeats: int = 5) -> BenchRow:
+    """Time the gradient of the seen probability of random paths of the paper's size, on one core.
+
+    Ours has the value beside it. The peer takes forward differences of our seen probability.
+
+    Parameters
+    ----------
+    paths : int
+        Number of random maps and paths.
+    repeats : int
+        Times that each is timed; the least counts.
+    """
+    ours_s, peer_s, value_s, errors = [], [], [], []
+    for seed in range(paths):
+        pdm, path = _random_case(np.random.default_rng(seed))
+        points, radius = path.waypoints, path.swath_radius
+        steps = len(points) - 1
+
+        def value(flat: FloatArray, pdm: Any = pdm, radius: float = radius) -> float:
+            return probability_seen(pdm, flat.reshape(-1, 2), radius)
+
+        ours = partial(seen_with_gradient, pdm, points, radius, [steps], [1.0])
+        peer = partial(approx_fprime, points.ravel(), value, 1e-6)
+        ours_s.append(_least_time(ours, repeats))
+        peer_s.append(_least_time(peer, 1))
+        value_s.append(_least_time(partial(value, points), repeats))
+        gradient, differences = ours()[1].ravel(), peer()
+        errors.append(float(np.abs(gradient - differences).max() / np.abs(differences).max()))
+    means = [1e3 * float(np.mean(each)) for each in (ours_s, peer_s, value_s)]
+    return BenchRow(
+        name="gradient_64_waypoints",
+        unit="ms per path",
+        ours=means[0],
+        peer=means[1],
+        peer_name=f"scipy {version('scipy')} approx_fprime",
+        ratio=means[1] / means[0],
+        details={
+            "paths": paths,
+            "value_alone_ms": means[2],
+            "relative_difference_median": float(np.median(errors)),
+        },
+    )
+
+
 ROWS: dict[str, Callable[[], BenchRow]] = {
     "seen_probability_64_waypoints": seen_probability_64_waypoints,
+    "gradient_64_waypoints": gradient_64_waypoints,
     "incremental_step_growth_50_to_5000": incremental_step_growth_50_to_5000,
 }
 
@@ -152,7 +199,7 @@ def _jpathgen() -> Callable[[GaussianMixture, SearchPath], Callable[[], float]] 
     return prepare
 
 
-def _least_time(task: Callable[[], float], repeats: int) -> float:
+def _least_time(task: Callable[[], object], repeats: int) -> float:
     """Return the least wall-clock time of a task in seconds."""
     task()
     times = []
