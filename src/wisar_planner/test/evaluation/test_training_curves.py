@@ -136,6 +136,14 @@ def test_a_figure_of_an_unknown_kind_is_refused_before_flying(tmp_path, capsys) 
     assert len(error.splitlines()) == 1
 
 
+def test_a_table_is_not_written_over_what_a_run_keeps(tmp_path, capsys) -> None:
+    kept = tmp_path / "checkpoint.safetensors"
+    kept.write_bytes(b"kept")
+    assert main(["curves", str(tmp_path), "--markdown", str(kept)]) == 2
+    assert "is the same file as the run's own" in capsys.readouterr().err
+    assert kept.read_bytes() == b"kept"
+
+
 def test_a_folder_without_a_run_is_refused(tmp_path) -> None:
     with pytest.raises(InvalidInput, match="holds no checkpoint"):
         read_curve(tmp_path)

@@ -62,7 +62,13 @@ def run(args: argparse.Namespace) -> int:
         )
         if path is not None
     ]
-    check_names({}, outputs)
+    kept = {
+        f"the run's own {file}": file
+        for folder in args.runs
+        if folder.is_dir()
+        for file in folder.iterdir()
+    }
+    check_names(kept, outputs)
     make_places((option, path) for option, path, _ in outputs)
     # A folder that is named twice, as by out/* and itself, is one run.
     folders = list({folder.resolve(): folder for folder in args.runs}.values())
