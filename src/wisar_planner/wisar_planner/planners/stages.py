@@ -161,8 +161,7 @@ class Stages:
             early_weight=self._early_weight,
         ):  # fmt: skip
             points = now.current
-            monitor.asked_to_stop()
-            if monitor.stopped():
+            if monitor.asked_to_stop():
                 break
         monitor.count(now.iterations)
         return self._in_metres(points)
