@@ -128,3 +128,15 @@ def test_trespass_is_how_much_nearer_than_the_margin_points_are():
                 moved[0, axis] += by
                 sums.append(trespass(moved, edges, 1.5, np.empty((1, 2))))
             assert pushes[i, axis] == pytest.approx((sums[1] - sums[0]) / 2e-6, abs=1e-5)
+
+
+def test_a_vertex_of_the_area_may_be_repeated(paper_problem):
+    """As in many a file; the polygon is valid all the same."""
+    problem = paper_problem(82)
+    corners = [(0, 0), (150, 0), (150, 0), (150, 150), (0, 150), (0, 0)]
+    area = SearchArea(shapely.Polygon(corners))
+    assert len(polygon_edges(area.polygon)) == 5
+    same = SearchProblem(problem.pdm, area, problem.start, 8.0, 2.5, 512.0)
+    before = make_planner("sac").plan(problem).waypoints
+    expected = Polisher(problem, 0.0).polish(before).waypoints
+    np.testing.assert_allclose(Polisher(same, 0.0).polish(before).waypoints, expected, atol=1e-9)

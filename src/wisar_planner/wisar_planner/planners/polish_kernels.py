@@ -36,8 +36,11 @@ def trespass(points: FloatArray, edges: FloatArray, margin: float, push: FloatAr
             dx, dy = x1 - x0, y1 - y0
             if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / dy * dx:
                 inside = not inside
-            along = ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy)
-            along = min(max(along, 0.0), 1.0)
+            # A vertex may be repeated: an edge without extent.
+            along, extent = (x - x0) * dx + (y - y0) * dy, dx * dx + dy * dy
+            along = (
+                min(max(along / extent, 0.0), 1.0) if extent > 0.0 else 0.0
+            )  # A repeated vertex.
             from_x, from_y = x - x0 - along * dx, y - y0 - along * dy
             square = from_x * from_x + from_y * from_y
             if square < nearest:
