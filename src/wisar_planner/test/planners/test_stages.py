@@ -48,7 +48,7 @@ def test_paths_too_long_for_the_ascent_are_annealed_to_the_end(
     monkeypatch.setattr(stages, "MOST_STEPS", most_steps)
     problem = paper_problem(97)
     search, _ = made(problem, Monitor(problem, math.inf, 40_000, None, None))
-    assert (search._stages()[-1].until == 1.0) == (most_steps < problem.steps)
+    assert (search._stages()[-1].share == 1.0) == (most_steps < problem.steps)
 
 
 def test_told_to_stop_it_compares_what_it_has_by_what_is_really_seen(paper_problem):

@@ -21,16 +21,16 @@ from std_srvs.srv import Trigger
 from wisar_msgs.action import UploadMission
 from wisar_msgs.msg import MissionStatus, ProbabilityMap, SearchPlan
 from wisar_planner.errors import InvalidInput
-from wisar_planner.mavlink.checks import Limits, check_mission
+from wisar_planner.mavlink.checks import check_mission
 from wisar_planner.mavlink.client import LinkError, LinkStatus, MissionClient
 from wisar_planner.mavlink.files import write_plan_file
 from wisar_planner.mavlink.flight import FlightTracker
 from wisar_planner.mavlink.mission import Mission
 from wisar_planner.mavlink.modes import flies_mission
 from wisar_planner.mavlink.outcome import UploadProgress
-from wisar_planner.mavlink.search_mission import MissionSettings, search_mission
+from wisar_planner.mavlink.search_mission import search_mission
 from wisar_planner.mavlink.vehicle import VehicleState
-from wisar_planner.nodes import conversions, parameters
+from wisar_planner.nodes import bridge_parameters, conversions
 from wisar_planner.nodes.conversions import LocatedMap, Plan
 from wisar_planner.nodes.latest_map import LatestMap
 from wisar_planner.nodes.qos import ALL_LATCHED, LATCHED
@@ -75,7 +75,7 @@ class MavlinkBridge(Node):
 
     def __init__(self) -> None:
         super().__init__("mavlink_bridge")
-        self._declare_parameters()
+        bridge_parameters.declare_all(self)
         self._plan: Plan | None = None
         self._maps = LatestMap(self)
         self._map: LocatedMap | None = None  # of the last plan; the last one until that is here
@@ -137,89 +137,6 @@ class MavlinkBridge(Node):
         """Destroy the action as well, which rclpy leaves to the node's owner."""
         self._action.destroy()
         super().destroy_node()
-
-    def _declare_parameters(self) -> None:
-        def declare(name: str, default: bool | int | float | str, text: str, **limits: Any) -> None:
-            parameters.declare(self, name, default, text, read_only=name in fixed, **limits)
-
-        fixed = {
-            "connection",
-            "system_id",
-            "component_id",
-            "target_system",
-            "target_component",
-            "key_file",
-        }
-        declare(
-            "connection",
-            "udpin:127.0.0.1:14550",
-            "Where the autopilot is: udpin:, udpout:, tcp: or a serial device, as pymavlink has it",
-        )
-        declare("system_id", 245, "Own MAVLink system id", minimum=1, maximum=255)
-        declare("component_id", 190, "Own MAVLink component id", minimum=1, maximum=255)
-        declare(
-            "target_system", 0, "Vehicle's system id; 0: the first heard", minimum=0, maximum=255
-        )
-        declare(
-            "target_component", 0, "Its component id; 0: the first heard", minimum=0, maximum=255
-        )
-        declare("key_file", "", "File with the signing key; empty: no signing")
-        declare(
-            "altitude",
-            0.0,
-            "Flying height above the launch point, m; 0: where the camera sees the plan's swath",
-            minimum=0.0,
-        )
-        declare(
-            "field_of_view",
-            45.0,
-            "Camera's angle of view across the direction of flight, degrees",
-            minimum=1.0,
-            maximum=170.0,
-        )
-        declare("speed", 10.0, "Ground speed, m/s; 0: the vehicle's own setting", minimum=0.0)
-        declare("takeoff", True, "Whether the mission begins with a takeoff")
-        declare(
-            "end",
-            "return_to_launch",
-            "What follows the search",
-            choices=("return_to_launch", "loiter"),
-        )
-        declare(
-            "altitude_frame",
-            "relative",
-            "What altitudes refer to: relative to launch, or terrain",
-            choices=("relative", "terrain"),
-        )
-        declare("camera_trigger", 0.0, "Distance between two pictures, m; 0: none", minimum=0.0)
-        declare("fence", False, "Whether the search area is uploaded as a geofence")
-        declare("fence_margin", 30.0, "How far outside the area the fence stands, m", minimum=0.0)
-        declare("rally", False, "Whether the launch point is uploaded as a rally point")
-        declare(
-            "clear_old",
-            False,
-            "Whether an upload deletes the fence and the rally points on the vehicle that it does "
-            "not replace; false leaves them as they are",
-        )
-        declare("min_altitude", 2.0, "Lowest altitude allowed, m", minimum=0.0)
-        declare("max_altitude", 120.0, "Highest altitude allowed, m", minimum=0.0)
-        declare(
-            "endurance",
-            0.0,
-            "Distance that the vehicle can fly, the legs there and home included, m; 0: unknown",
-            minimum=0.0,
-        )
-        declare(
-            "max_first_waypoint",
-            2000.0,
-            "Greatest distance between the vehicle and the first waypoint, m",
-            minimum=1.0,
-        )
-        declare(
-            "plan_files",
-            "",
-            "Files to write each plan to, separated by commas: .plan .waypoints .kml .gpx .geojson",
-        )
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -295,23 +212,10 @@ class MavlinkBridge(Node):
 
     def _mission(self, plan: Plan, located: LocatedMap | None) -> Mission:
         """Build the mission of a plan and its map with the parameters, or raise InvalidInput."""
-        value = self._value
-        settings = MissionSettings(
-            altitude_m=value("altitude") or None,
-            field_of_view=math.radians(value("field_of_view")),
-            speed=value("speed") or None,
-            takeoff=value("takeoff"),
-            end=value("end"),
-            altitude_frame=value("altitude_frame"),
-            camera_trigger_m=value("camera_trigger") or None,
-            fence=value("fence"),
-            fence_margin_m=value("fence_margin"),
-            rally=value("rally"),
-        )
         return search_mission(
             plan.path,
             LocalFrame(plan.origin),
-            settings,
+            bridge_parameters.mission_settings(self),
             area=None if located is None else located.area,
             launch=self._launch_place(),
             takeoff_place=self._vehicle_place(),
@@ -340,12 +244,7 @@ class MavlinkBridge(Node):
                 "the vehicle's position is not known now, so that the distances cannot be "
                 "checked; wait for its GPS, then upload again",
             )
-        limits = Limits(
-            min_altitude_m=self._value("min_altitude"),
-            max_altitude_m=self._value("max_altitude"),
-            endurance_m=self._value("endurance") or None,
-            first_waypoint_m=self._value("max_first_waypoint"),
-        )
+        limits = bridge_parameters.mission_limits(self)
         return check_mission(mission, limits, vehicle=place, home=self._launch_place())
 
     # The upload

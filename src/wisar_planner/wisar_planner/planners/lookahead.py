@@ -20,7 +20,7 @@ from wisar_planner.planners.random_kernels import random_state
 from wisar_planner.planners.refine import EARLY_WEIGHT, exact_steps
 from wisar_planner.planners.rollout_kernels import rollout
 from wisar_planner.planners.search_raster import COARSE, SearchRaster
-from wisar_planner.planners.stages import Found, Stages
+from wisar_planner.planners.stages import Found, Stages, WaysOn
 from wisar_planner.planners.swath_kernels import path_value
 from wisar_planner.search.path import SearchPath
 from wisar_planner.search.problem import SearchProblem
@@ -83,20 +83,20 @@ class Lookahead(OptionedPlanner):
             should_stop,
         )
         raster = SearchRaster(problem, COARSE)
-        found = self._first_paths(problem, raster, monitor)
+        found, ways_on = self._first_paths(problem, raster, monitor)
         if not found:
             # No whole step stays inside the area everywhere: the greedy planner takes shorter ones.
             path = Greedy().plan(problem, on_progress=on_progress, should_stop=should_stop)
             return dataclasses.replace(path, planner=self.name)
         state = random_state(np.random.default_rng(self.seed))
-        stages = Stages(problem, raster, monitor, state, self.early_weight)
+        stages = Stages(problem, raster, monitor, state, self.early_weight, ways_on)
         return SearchPath(stages.best_of(found), problem.swath_radius, self.name)
 
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
-    ) -> list[Found]:
-        """Return the paths that the search begins with."""
-        return self._rollouts(problem, raster, monitor, until=FIRST_SHARE)
+    ) -> tuple[list[Found], WaysOn | None]:
+        """Return the paths that the search begins with, and what finds other ways on from one."""
+        return self._rollouts(problem, raster, monitor, until=FIRST_SHARE), None
 
     def _rollouts(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor, until: float

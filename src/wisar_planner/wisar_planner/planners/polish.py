@@ -85,6 +85,7 @@ class Polisher:
         waypoints: FloatArray,
         *,
         on_progress: Callable[[FloatArray], bool] = lambda _: False,
+        most_iterations: int | None = None,
         most_evaluations: int | None = None,
     ) -> Polished:
         """Return a path that is worth as much or more.
@@ -95,8 +96,9 @@ class Polisher:
             The path, m: all of the problem's steps.
         on_progress : callable
             Told of the path after each iteration; returns whether to stop.
-        most_evaluations : int
-            The ascent ends after about so many evaluations; None: at the top.
+        most_iterations, most_evaluations : int
+            The ascent ends after so many iterations and about so many evaluations; None: at the
+            top.
         """
         before, slope = self._value(waypoints)
         start = Polished(before, waypoints)
@@ -122,7 +124,7 @@ class Polisher:
             loss, np.zeros(steps), jac=True, method="L-BFGS-B", callback=on_iteration,
             options={
                 "maxcor": 20, "ftol": _TOLERANCE / steps, "gtol": 0.0,
-                "maxiter": 1 << 30, "maxfun": most_evaluations or 1 << 30,
+                "maxiter": most_iterations or 1 << 30, "maxfun": most_evaluations or 1 << 30,
             },
         )  # fmt: skip
         for share in _SHARES:

@@ -17,9 +17,9 @@ from wisar_planner.planners.lookahead import FIRST_SHARE, Lookahead
 from wisar_planner.planners.monitor import Monitor
 from wisar_planner.planners.sac import MODEL_HELP, trained_policy
 from wisar_planner.planners.search_raster import SearchRaster
-from wisar_planner.planners.stages import Found
+from wisar_planner.planners.stages import Found, WaysOn
 from wisar_planner.planners.swath_kernels import ADD, REMOVE, paint_path, path_value
-from wisar_planner.policy.model import DEFAULT_MODEL
+from wisar_planner.policy.model import DEFAULT_MODEL, Model
 from wisar_planner.policy.rollout import Terrain, fly
 from wisar_planner.search.problem import SearchProblem
 
@@ -32,6 +32,8 @@ _BATCH = 16
 _FLIGHT_SHARE = 0.5
 # A flight is given up no sooner than after so many seconds, within which most are done.
 _PATIENCE_S = 0.1
+# Other ways on leave the best path before this share of it.
+_LAST_LEAVE = 0.9
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,9 @@ class SacSearch(Lookahead):
 
     First the policy flies its most likely turns, so that there is a good plan at once, then
     flights with random turns; the greedy rollouts that `Lookahead` starts from join them. The best
-    are refined as there. Where the first flight would take more than half the time that is left
-    for it, it is given up, and the rollouts are all there is.
+    are refined as there. Then the policy flies other ways on from somewhere on the best of all.
+    Where the first flight would take more than half the time that is left for it, it is given up,
+    and the rollouts are all there is.
     """
 
     name: ClassVar[str] = "sac_search"
@@ -50,8 +53,11 @@ class SacSearch(Lookahead):
 
     def _first_paths(
         self, problem: SearchProblem, raster: SearchRaster, monitor: Monitor
-    ) -> list[Found]:
-        """Return flights of the policy, where it finds a way in the area, and greedy rollouts."""
+    ) -> tuple[list[Found], WaysOn | None]:
+        """Return flights of the policy, where it finds a way in the area, and greedy rollouts.
+
+        Where the policy flies in time, it finds other ways on, too.
+        """
         model = trained_policy(self.model)
         terrain = Terrain.of(problem)
         rng = np.random.default_rng(self.seed)
@@ -75,11 +81,12 @@ class SacSearch(Lookahead):
             each_takes, left = (monitor.spent() - before) / count, FIRST_SHARE - monitor.spent()
             most = min(_BATCH, terrain.most_searches, 1 + _RANDOM_FLIGHTS - flown)
             count = most if each_takes == 0.0 else min(most, int(left / each_takes))
+        ways_on = _ways_on(problem, terrain, model, rng, monitor) if found else None
         if found and monitor.stopped():
-            return found
+            return found, ways_on
         # On a long budget the flights alone take long: the rollouts get their time all the same.
         until = max(FIRST_SHARE, monitor.spent() + 0.5 * FIRST_SHARE)
-        return found + self._rollouts(problem, raster, monitor, until)
+        return found + self._rollouts(problem, raster, monitor, until), ways_on
 
     def _valued(self, raster: SearchRaster, path: FloatArray) -> Found:
         """Return a path in metres with its value on the raster."""
@@ -90,6 +97,28 @@ class SacSearch(Lookahead):
         value = path_value(tally, self.early_weight)
         paint_path(*arguments, REMOVE, tally)
         return Found(value, points)
+
+
+def _ways_on(
+    problem: SearchProblem,
+    terrain: Terrain,
+    model: Model,
+    rng: np.random.Generator,
+    monitor: Monitor,
+) -> WaysOn:
+    """Return what leaves a path at a random step and flies on with random turns, several times."""
+    count = min(_BATCH, terrain.most_searches)
+    last = math.ceil(_LAST_LEAVE * problem.steps)
+
+    def ways_on(path: FloatArray) -> list[FloatArray]:
+        flown = path[: 1 + int(rng.integers(last))]
+        paths = fly(
+            problem, terrain, model, flown=flown, count=count, rng=rng,
+            on_step=lambda _: monitor.asked_to_stop() or monitor.ended(),
+        )  # fmt: skip
+        return list(paths) if paths.shape[1] > problem.steps else []
+
+    return ways_on
 
 
 def _give_up(monitor: Monitor) -> Callable[[FloatArray], bool]:

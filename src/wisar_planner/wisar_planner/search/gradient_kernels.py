@@ -10,7 +10,8 @@ import numpy.typing as npt
 from numba import njit
 
 from wisar_planner.errors import FloatArray
-from wisar_planner.search.capsule_kernels import CAPSULES, Union, part_point
+from wisar_planner.search.capsule_kernels import part_point
+from wisar_planner.search.union_kernels import CAPSULES, Union
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 

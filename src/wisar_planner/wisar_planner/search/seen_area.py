@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from wisar_planner.errors import FloatArray, InvalidInput, finite_array, positive
 from wisar_planner.pdm import ProbabilityMap
-from wisar_planner.search import capsule_kernels as kernels
+from wisar_planner.search import union_kernels as kernels
+from wisar_planner.search.capsule_kernels import CAPSULE, MOST_CUTS
 
 
 class SeenArea:
@@ -123,7 +124,7 @@ class CapsuleUnion:
     def __init__(self, radius: float, steps: int) -> None:
         self.radius = radius
         self.arrays = kernels.Union(
-            capsules=np.empty(steps + 1, kernels.CAPSULE),
+            capsules=np.empty(steps + 1, CAPSULE),
             boxes=np.empty((steps + 1, 5, 4)),
             pieces=np.empty(8 * steps, kernels.PIECE),
             cells=_empty_cells(16 * steps),
@@ -133,7 +134,7 @@ class CapsuleUnion:
             fresh=np.empty(256, kernels.PIECE),
             covers=np.empty((4, 128, 2)),
             n_covers=np.empty(4, np.int64),
-            cuts=np.empty((2, 4, kernels.MOST_CUTS)),
+            cuts=np.empty((2, 4, MOST_CUTS)),
             cut_counts=np.empty((2, 4), np.int64),
             out=np.empty((16 * steps + 64, 5)),
             owners=np.empty(16 * steps + 64, np.int64),
