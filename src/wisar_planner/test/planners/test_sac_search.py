@@ -1,4 +1,5 @@
 import itertools
+import math
 import time
 
 import numpy as np
@@ -6,9 +7,11 @@ import pytest
 import shapely
 from scipy import stats
 
-from wisar_planner import GaussianMixture, SearchArea, SearchProblem, make_planner
+from wisar_planner import GaussianMixture, SearchArea, SearchPath, SearchProblem, make_planner
 from wisar_planner.planners import sac_search
 from wisar_planner.planners.monitor import Monitor
+from wisar_planner.planners.sac import trained_policy
+from wisar_planner.policy.rollout import Terrain
 
 
 def check(problem, path):
@@ -34,6 +37,32 @@ def test_is_better_than_the_policy_alone(paper_problem):
         alone.append(make_planner("sac").plan(problem).probability_efficiency(problem))
     assert (np.array(searched) >= 0.995 * np.array(alone)).all()
     assert stats.wilcoxon(searched, alone, alternative="greater").pvalue < 1e-3
+
+
+def test_other_ways_begin_as_the_path_and_stay_in_the_area(paper_problem):
+    problem = paper_problem(45)
+    path = make_planner("greedy").plan(problem).waypoints
+    monitor = Monitor(problem, math.inf, 1000, None, None)
+    rng = np.random.default_rng(5)
+    ways_on = sac_search._ways_on(
+        problem, Terrain.of(problem), trained_policy("sac"), rng, monitor
+    )  # fmt: skip
+    left_at = set()
+    for _ in range(8):
+        ways = np.array(ways_on(path))
+        assert ways.shape == (16, problem.steps + 1, 2)
+        same = (ways == path).all(axis=(0, 2))
+        left = int(same.argmin())
+        left_at.add(left)
+        assert same[:left].all()
+        assert len(np.unique(ways[:, -1], axis=0)) == 16
+        for way in ways:
+            check(problem, SearchPath(way, problem.swath_radius, "sac_search"))
+            steps = np.hypot(*np.diff(way, axis=0).T)
+            np.testing.assert_allclose(steps, problem.step_length, rtol=1e-6)
+    assert len(left_at) > 4
+    monitor.count(1000)
+    assert ways_on(path) == []
 
 
 def test_more_iterations_are_better_on_average(paper_problem):

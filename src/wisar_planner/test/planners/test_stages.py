@@ -12,12 +12,12 @@ from wisar_planner.planners.search_raster import COARSE, SearchRaster
 from wisar_planner.planners.stages import Found, Stages
 
 
-def made(problem, monitor):
+def made(problem, monitor, ways_on=None):
     """The search of a problem, and the greedy path to begin with."""
     raster = SearchRaster(problem, COARSE)
     state = random_state(np.random.default_rng(1))
     points = raster.to_cells(make_planner("greedy").plan(problem).waypoints)
-    return Stages(problem, raster, monitor, state, 0.5), Found(0.0, points)
+    return Stages(problem, raster, monitor, state, 0.5, ways_on), Found(0.0, points)
 
 
 def test_a_budget_of_moves_is_spent_and_hardly_exceeded(paper_problem):
@@ -39,6 +39,53 @@ def test_more_moves_see_more(paper_problem):
             values.append(search._polisher.valued(search.best_of([path])).value)
         seen.append(np.mean(values))
     assert seen[1] > 1.005 * seen[0]
+
+
+def test_a_better_way_on_is_taken_to_its_top(paper_problem):
+    problem = paper_problem(100)
+    better = make_planner("sac").plan(problem).waypoints
+    monitor = Monitor(problem, math.inf, 60_000, None, None)
+    search, path = made(problem, monitor, lambda _: [better])
+    # Not annealed, so that the policy's path is far ahead.
+    search._stages = lambda: ()
+    best = search._polisher.valued(search.best_of([path]))
+    assert best.value > 1.001 * search._polisher.valued(better).value
+
+
+def test_ways_that_are_far_behind_change_nothing_and_count(paper_problem):
+    problem = paper_problem(101)
+    asked = []
+
+    def ways_on(waypoints):
+        asked.append(waypoints)
+        return [np.array([waypoints[i % 2] for i in range(len(waypoints))])] * 16
+
+    values = []
+    for ways in (None, ways_on):
+        monitor = Monitor(problem, math.inf, 60_000, None, None)
+        search, path = made(problem, monitor, ways)
+        best = search.best_of([path])
+        assert 1.0 <= monitor.spent() < 1.5
+        values.append(search._polisher.valued(best).value)
+    assert len(asked) > 0
+    assert values[1] > 0.98 * values[0]
+
+
+def test_other_ways_have_what_a_long_budget_leaves(paper_problem):
+    """Annealing has as many moves of a long budget as of one of 1,250 moves a step."""
+    problem = paper_problem(102)
+    shares = []
+    for moves in (1250, 12_500):
+        monitor = Monitor(problem, math.inf, moves * problem.steps, None, None)
+        search, _ = made(problem, monitor, lambda _: [])
+        alone, _ = made(problem, monitor)
+        shares.append(
+            [
+                stage.share / whole.share
+                for stage, whole in zip(search._stages(), alone._stages(), strict=True)
+            ]
+        )
+    np.testing.assert_allclose(shares, [[1.0, 1.0], [0.1, 0.1]])
 
 
 @pytest.mark.parametrize("most_steps", [63, 64])
