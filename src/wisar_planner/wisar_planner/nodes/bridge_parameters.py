@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
@@ -104,12 +105,14 @@ def declare_all(node: Node) -> None:
     )
 
 
+def _values(node: Node) -> Callable[[str], Any]:
+    """Return what looks up a parameter by its name."""
+    return lambda name: node.get_parameter(name).value
+
+
 def mission_settings(node: Node) -> MissionSettings:
     """Return how a plan is flown, as the parameters say now."""
-
-    def value(name: str) -> Any:
-        return node.get_parameter(name).value
-
+    value = _values(node)
     return MissionSettings(
         altitude_m=value("altitude") or None,
         field_of_view=math.radians(value("field_of_view")),
@@ -132,10 +135,7 @@ def mission_limits(node: Node) -> Limits:
     InvalidInput
         If they contradict each other.
     """
-
-    def value(name: str) -> Any:
-        return node.get_parameter(name).value
-
+    value = _values(node)
     return Limits(
         min_altitude_m=value("min_altitude"),
         max_altitude_m=value("max_altitude"),

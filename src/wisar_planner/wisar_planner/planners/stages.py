@@ -44,7 +44,7 @@ _SHORT_STAGES = (
 )
 # So many moves a step are few, and so many moves are about what a machine makes in a second.
 _FEW_MOVES, _MOVES_PER_SECOND = 700.0, 160_000.0
-# Where there are other ways on, annealing is worth no longer budget than so many moves a step.
+# Where there are other ways on, annealing has its share of no more than so many moves a step.
 _MOST_MOVES = 1250.0
 # How the best path is shaken before the gradient is followed from it once more, and for how many
 # moves a step.
@@ -70,6 +70,7 @@ class _Round(NamedTuple):
     behind: float
 
 
+# Most ways end below the best plan: a few iterations tell, and leave time for others.
 _RACE = (
     _Round(4, 10, 0.03),
     _Round(2, 30, 0.012),

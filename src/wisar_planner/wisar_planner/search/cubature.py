@@ -46,9 +46,9 @@ def integrate_by_cubature(
     The polygon is cut into triangles by a constrained Delaunay triangulation. On each the rules of
     degree 5 and 9 are compared; those that disagree by more than their share are cut in four at
     the midpoints of their sides until the differences sum to no more than the tolerance. The rule
-    of degree 9 gives the value, so the estimate is much larger than the true error. Where density
-    is narrow both rules may be wrong alike: each triangle is therefore cut once at least, and what
-    the four parts say otherwise than the whole counts, too.
+    of degree 9 gives the value, so the estimate is as a rule much larger than the true error. Where
+    density is narrow both rules may be wrong alike: each triangle is therefore cut once at least,
+    and what the four parts say otherwise than the whole counts, too.
 
     Parameters
     ----------
