@@ -96,9 +96,20 @@ class Suite:
         """Call a service and return its answer."""
         client = self.operator.node.create_client(kind, service)
         self.wait(client.service_is_ready, service)
+        lost = self._lost_answers()
         future = client.call_async(request)
-        self.wait(future.done, f"the answer of {service}")
+        what = f"the answer of {service}"
+        self.wait(lambda: future.done() or self._lost_answers() > lost, what)
+        if not future.done():
+            # The node answered before it had discovered this new client, and said so.
+            future = client.call_async(request)
+            self.wait(future.done, what)
         return future.result()
+
+    def _lost_answers(self) -> int:
+        """How many answers of services nodes say that they could not send."""
+        logs = self.processes.log("any").parent.glob("*.log")
+        return sum(log.read_bytes().count(b"client will not receive response") for log in logs)
 
     def set_parameter(self, name: str, value: object, node: str = "planner") -> SetParametersResult:
         """Ask a node to change a parameter and return its answer."""
